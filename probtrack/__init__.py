@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from probtrack import metrics as metrics
     from probtrack import plotting as plotting
     from probtrack import simulation as simulation
-    from probtrack import tracks as tracks
     from probtrack import trackers as trackers
+    from probtrack import tracks as tracks
 
 __version__ = "0.1.0"
 

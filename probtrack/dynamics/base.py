@@ -1,0 +1,88 @@
+"""Interface of a motion model, and what the rest of the filter may know of a talker's motion."""
+
+import abc
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import Distribution, Independent, MultivariateNormal, Normal
+
+from probtrack.distributions import LinearGaussian
+from probtrack.errors import InputError
+
+Transition = Callable[[Tensor, Tensor], Tensor]
+"""One step of a motion model, `(state (..., D), noise (..., noise_dim)) -> state (..., D)`."""
+
+
+class Kinematics(NamedTuple):
+    """What a likelihood may know of a talker, whatever the layout of the state.
+
+    Attributes:
+        position: (..., A) [m], A = 2 or 3.
+        velocity: (..., A) [m/s].
+        modelled_heading: (...) [rad], where the talker looks, if the motion model has such a variable.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    modelled_heading: Tensor | None = None
+
+    @property
+    def heading(self) -> Tensor:
+        """Where the talker looks (...) [rad]: the direction of motion unless the model knows better."""
+        if self.modelled_heading is not None:
+            return self.modelled_heading
+        return torch.atan2(self.velocity[..., 1], self.velocity[..., 0])
+
+
+class Dynamics(nn.Module, abc.ABC):
+    """Markov transition density p(x_t | x_{t-1}), with learnable, unconstrained parameters.
+
+    A model of one's own needs `forward`, `kinematics` and `from_kinematics`; a filter drives it by
+    `transition`, which works for every law that a standard normal vector can be mapped to.
+    """
+
+    state_dim: int
+    """Size D of the state."""
+
+    noise_dim: int
+    """How many standard normal numbers drive one step of one particle."""
+
+    @abc.abstractmethod
+    def forward(self, state: Tensor, dt: float | Tensor) -> Distribution:
+        """Return p(x_t | x_{t-1} = `state`) over `dt` [s]: batch (...), event (state_dim,)."""
+
+    @abc.abstractmethod
+    def kinematics(self, state: Tensor) -> Kinematics:
+        """Return position, velocity and heading of `state` (..., D)."""
+
+    @abc.abstractmethod
+    def from_kinematics(self, kinematics: Kinematics) -> Tensor:
+        """Return the state (..., D) of a talker that moves like `kinematics`."""
+
+    def transition(self, dt: float | Tensor) -> Transition:
+        """Return the map from (state, standard normal noise) to the next state over `dt` [s].
+
+        What does not depend on the state is worked out here, once for many steps.
+        """
+
+        def step(state: Tensor, noise: Tensor) -> Tensor:
+            return driven_by(self(state, dt), noise)
+
+        return step
+
+
+def driven_by(law: Distribution, noise: Tensor) -> Tensor:
+    """Return the sample of `law` that the standard normal `noise` (..., K) stands for.
+
+    Raises:
+        InputError: for a law that is not Gaussian; its model must define `transition` itself.
+    """
+    if isinstance(law, LinearGaussian):
+        return law.loc + (law.gain @ noise[..., None])[..., 0]
+    if isinstance(law, MultivariateNormal):
+        return law.loc + (law.scale_tril @ noise[..., None])[..., 0]
+    if isinstance(law, Independent) and isinstance(law.base_dist, Normal):
+        return law.base_dist.loc + law.base_dist.scale * noise
+    raise InputError(f"a Dynamics whose forward returns {type(law).__name__} must define transition itself")
