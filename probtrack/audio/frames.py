@@ -1,0 +1,58 @@
+"""Overlapping frames of a multichannel signal and their spectra."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from probtrack._checks import check_int
+from probtrack.errors import InputError
+
+
+class Frames(NamedTuple):
+    """Frames in time order, as samples and as spectra.
+
+    Attributes:
+        samples: (T, *batch, M, L), as recorded.
+        spectrum: (T, *batch, M, L // 2 + 1), complex, of the windowed samples.
+    """
+
+    samples: Tensor
+    spectrum: Tensor
+
+
+class ShortTimeSpectrum(nn.Module):
+    r"""Short-time Fourier transform with a Hann window, frames that start at sample 0.
+
+    .. math:: S_m(t, f) = \sum_{n=0}^{L-1} w_n\, s_m(tH + n)\, e^{-2\pi j f n / L}
+
+    Only whole frames are made: what is left over at the end waits for more samples.
+
+    Args:
+        frame_length: Samples L in a frame.
+        hop: Samples H between the starts of neighbouring frames, at most L.
+
+    Shape:
+        samples (*batch, M, n). Returns `Frames` with T = (n - L) // H + 1, or 0 if n < L.
+    """
+
+    window: Tensor
+
+    def __init__(self, frame_length: int = 512, hop: int = 256) -> None:
+        super().__init__()
+        self.frame_length = check_int(frame_length, "frame_length", low=16)
+        self.hop = check_int(hop, "hop", low=1)
+        if hop > frame_length:
+            raise InputError(f"hop must be at most frame_length = {frame_length}, got {hop}")
+        self.register_buffer("window", torch.hann_window(frame_length), persistent=False)
+
+    def num_frames(self, num_samples: int) -> int:
+        """Return how many whole frames `num_samples` hold."""
+        return max(0, (num_samples - self.frame_length) // self.hop + 1)
+
+    def forward(self, samples: Tensor) -> Frames:
+        if samples.shape[-1] < self.frame_length:
+            frames = samples.new_zeros((0, *samples.shape[:-1], self.frame_length))
+        else:
+            frames = samples.unfold(-1, self.frame_length, self.hop).movedim(-2, 0)
+        return Frames(frames, torch.fft.rfft(frames * self.window))

@@ -1,0 +1,107 @@
+"""Steered response power at any points, looked up in the cross-correlations of the pairs."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import grid_sample, pad
+
+from probtrack._checks import as_positive
+from probtrack.errors import InputError, ShapeError
+from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray
+
+
+class SteeredResponsePower(nn.Module):
+    r"""Output power of a beamformer steered to given points, S1 eq. (2), from tabulated correlations.
+
+    .. math:: P(\ell) = \frac1M + \sum_{i<j} R_{ij}\bigl(\tau_i(\ell) - \tau_j(\ell)\bigr), \qquad
+              \tau_m(\ell) = \lVert \ell - \ell_m \rVert / c
+
+    in [0, 1] but for rounding: 1 for a single source at the point and no noise, about 1/M for none. R comes
+    from `GeneralisedCrossCorrelation` and is interpolated linearly between its lags, which is within 0.5 %
+    of steering each frequency (at 3 kHz and 64 000 lags per second) and many times cheaper.
+
+    Args:
+        array: The microphones.
+        lag_rate: Lags per second of the tables (`GeneralisedCrossCorrelation.lag_rate`) [1/s].
+        num_lags: Lags K in a table.
+        height: z of points that are given as (x, y), for an array in three dimensions [m]; None takes
+            the height of the array's centre.
+        speed_of_sound: c [m/s].
+
+    Shape:
+        gcc (*observation, P, K), points (*batch, N, A) with `observation` broadcasting against `batch`:
+        (runs-of-one recording), (recordings, 1), ... . Returns (*broadcast, N).
+    """
+
+    positions: Tensor
+    steering: Tensor
+    rows: Tensor
+
+    def __init__(
+        self,
+        array: MicrophoneArray,
+        *,
+        lag_rate: float,
+        num_lags: int,
+        height: float | None = None,
+        speed_of_sound: float = SPEED_OF_SOUND,
+    ) -> None:
+        super().__init__()
+        as_positive(speed_of_sound, "speed_of_sound")
+        self.num_lags, self.num_pairs = num_lags, len(array.pairs)
+        self.num_microphones = array.num_microphones
+        if height is None:
+            height = float(array.centre[2]) if array.axes == 3 else 0.0
+        elif not math.isfinite(height):
+            raise InputError(f"height must be finite, got {height}")
+        self.height = height
+        # grid_sample wants (lag, row) in [-1, 1]: one product maps distances to microphones onto both
+        steering = torch.zeros(array.num_microphones, self.num_pairs, 2)
+        pair = torch.arange(self.num_pairs)
+        lag_scale = 2 * lag_rate / (speed_of_sound * (num_lags - 1))
+        steering[array.pairs[:, 0], pair, 0] = lag_scale
+        steering[array.pairs[:, 1], pair, 0] = -lag_scale
+        rows = torch.zeros(self.num_pairs, 2)
+        rows[:, 1] = 2 * pair / max(1, self.num_pairs - 1) - 1
+        self.register_buffer("positions", array.positions.clone(), persistent=False)
+        self.register_buffer("steering", steering.flatten(1), persistent=False)
+        self.register_buffer("rows", rows.flatten(), persistent=False)
+
+    def forward(self, gcc: Tensor, points: Tensor) -> Tensor:
+        if gcc.shape[-2:] != (self.num_pairs, self.num_lags):
+            wanted = f"(..., {self.num_pairs}, {self.num_lags})"
+            raise ShapeError(f"gcc must have shape {wanted}, got {tuple(gcc.shape)}")
+        grid = self._table_coordinates(points)
+        batch = torch.broadcast_shapes(gcc.shape[:-2], points.shape[:-2])
+        tables, grid = _aligned(gcc, grid, batch)
+        # bilinear between rows that are hit exactly: linear along the lag
+        values = grid_sample(tables, grid, mode="bilinear", padding_mode="border", align_corners=True)
+        return values.sum(-1).reshape(*batch, points.shape[-2]) + 1 / self.num_microphones
+
+    def _table_coordinates(self, points: Tensor) -> Tensor:
+        """Return where the delays of `points` (*batch, N, A) lie in the tables, (*batch, N, P, 2)."""
+        axes = self.positions.shape[1]
+        if points.shape[-1] == 2 and axes == 3:
+            points = pad(points, (0, 1), value=self.height)
+        elif points.shape[-1] != axes:
+            raise ShapeError(f"points must have shape (..., {axes}), got {tuple(points.shape)}")
+        distances = torch.cdist(points, self.positions, compute_mode="donot_use_mm_for_euclid_dist")
+        coordinates = distances.reshape(-1, distances.shape[-1]) @ self.steering + self.rows
+        return coordinates.view(*points.shape[:-1], self.num_pairs, 2)
+
+
+def _aligned(gcc: Tensor, grid: Tensor, batch: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Bring tables to (B, 1, P, K) and coordinates to (B, n, P, 2) without copying either if it can be.
+
+    Trailing batch axes along which the observation does not vary (Monte-Carlo runs) become more points.
+    """
+    observed = (1,) * (len(batch) - gcc.ndim + 2) + gcc.shape[:-2]
+    lead = max((axis + 1 for axis, size in enumerate(observed) if size > 1), default=0)
+    outer = batch[:lead]
+    tables = gcc.reshape(*observed[:lead], *gcc.shape[-2:]).expand(*outer, *gcc.shape[-2:])
+    tables = tables.reshape(-1, 1, *gcc.shape[-2:])
+    if all(size == 1 for size in grid.shape[:-3]) and math.prod(batch[lead:]) == 1:
+        return tables, grid.reshape(1, *grid.shape[-3:]).expand(tables.shape[0], -1, -1, -1)
+    grid = grid.expand(*batch, *grid.shape[-3:])
+    return tables, grid.reshape(tables.shape[0], -1, *grid.shape[-2:])
