@@ -1,0 +1,101 @@
+"""How a voice sounds: glottal pulses and noise, shaped by formants that move."""
+
+import math
+
+import torch
+import torchaudio.functional as F
+from torch import Tensor
+
+HOP = 0.005
+"""Time between two settings of the vocal tract [s]."""
+
+_OVERSAMPLING = 4
+_RESPONSE = 0.064  # s, after which a resonance of 80 Hz bandwidth has fallen by 140 dB
+_UPPER_FORMANTS = (
+    (3500.0, 250.0),
+    (4500.0, 350.0),
+    (5500.0, 450.0),
+    (6500.0, 550.0),
+)  # Hz: centre, bandwidth
+
+
+def glottal_pulses(pitch: Tensor, fs: int) -> Tensor:
+    r"""Return the derivative of the flow through the glottis at the fundamental frequency `pitch` [Hz].
+
+    One cycle of the flow, with phase :math:`u \in [0, 1)`, opening time p = 0.4 and closing time q = 0.16, is
+
+    .. math:: g(u) = \tfrac12 (1 - \cos(\pi u / p)),\ u < p; \qquad \cos(\pi (u - p) / 2 q),\ u < p + q
+
+    and 0 while the glottis is shut. It is made at four times `fs`, so that the sharp closure does not alias.
+
+    Shape:
+        pitch (S,), one value a sample. Returns (S,) of unit power.
+
+    References:
+        A. E. Rosenberg, "Effect of glottal pulse shape on the quality of natural vowels", J. Acoust. Soc. Am.
+        49:583, 1971, pulse shape C.
+    """
+    opening, closing = 0.4, 0.16
+    fine = pitch.repeat_interleave(_OVERSAMPLING)
+    u = torch.remainder(torch.cumsum(fine.double() / (fs * _OVERSAMPLING), 0), 1.0)
+    rise = torch.sin(math.pi * u / opening) / (2 * opening)
+    fall = -torch.sin(math.pi * (u - opening) / (2 * closing)) / (2 * closing)
+    slope = torch.where(u < opening, rise, torch.where(u < opening + closing, fall, torch.zeros(())))
+    pulses: Tensor = F.resample(slope, _OVERSAMPLING * fs, fs, lowpass_filter_width=32)[: len(pitch)]
+    return pulses / pulses.square().mean().sqrt()
+
+
+def resonances(centres: Tensor, bandwidths: Tensor, frequency: Tensor, fs: int) -> Tensor:
+    """Return the frequency response of a cascade of resonators, of gain 1 at 0 Hz each.
+
+    Shape:
+        centres, bandwidths (..., R) [Hz], frequency (B,) [Hz]. Returns complex (..., B).
+
+    References:
+        D. H. Klatt, "Software for a cascade/parallel formant synthesizer", J. Acoust. Soc. Am. 67:971, 1980,
+        Eq. 2.
+    """
+    delay = torch.exp(-2j * math.pi * frequency / fs)
+    radius = torch.exp(-math.pi * bandwidths / fs)[..., None]
+    b = 2 * radius * torch.cos(2 * math.pi * centres / fs)[..., None]
+    c = -radius.square()
+    return ((1 - b - c) / (1 - b * delay - c * delay**2)).prod(-2)
+
+
+def vocal_tract(formants: Tensor, bandwidths: Tensor, fs: int) -> Tensor:
+    """Return responses (K, B) of the throat and mouth for F1 to F3; higher formants are those of a tube.
+
+    Shape:
+        formants, bandwidths (K, 3) [Hz]. B is that of `filter_frames`.
+    """
+    upper = torch.tensor([f for f in _UPPER_FORMANTS if f[0] < 0.45 * fs], dtype=formants.dtype)
+    upper = upper.expand(len(formants), -1, 2)
+    centres = torch.cat([formants, upper[..., 0]], -1)
+    widths = torch.cat([bandwidths, upper[..., 1]], -1)
+    return resonances(centres, widths, _bins(fs).to(formants), fs)
+
+
+def friction(centre: Tensor, bandwidth: Tensor, fs: int) -> Tensor:
+    """Return responses (K, B) of the mouth to noise made at a narrow place, one resonance each (K,) [Hz]."""
+    response = resonances(centre[:, None], bandwidth[:, None], _bins(fs).to(centre), fs)
+    return response / response.abs().square().mean(-1, keepdim=True).sqrt()
+
+
+def filter_frames(source: Tensor, responses: Tensor, fs: int) -> Tensor:
+    """Filter `source` (S,) by responses (K, B) that follow each other every `HOP` seconds.
+
+    Each is applied to the source under a window that fades over to the next one's; the windows add up to one.
+    """
+    hop, size = round(HOP * fs), 2 * (responses.shape[-1] - 1)
+    window = torch.hann_window(2 * hop, dtype=source.dtype)
+    padded = torch.nn.functional.pad(source, (hop, (len(responses) + 1) * hop - len(source)))
+    frames = padded.unfold(0, 2 * hop, hop)[: len(responses)] * window
+    filtered = torch.fft.irfft(torch.fft.rfft(frames, size) * responses, size)
+    length = (len(responses) - 1) * hop + size
+    summed = torch.nn.functional.fold(filtered.T[None], (1, length), (1, size), stride=(1, hop)).flatten()
+    return summed.narrow(0, hop, len(source))
+
+
+def _bins(fs: int) -> Tensor:
+    size = 2 ** math.ceil(math.log2(_RESPONSE * fs))
+    return torch.arange(size // 2 + 1, dtype=torch.float64) * fs / size
