@@ -11,3 +11,7 @@ class ShapeError(InputError):
 
 class NotFiniteError(InputError):
     """Numbers that must be finite are NaN or infinite."""
+
+
+class SingularLawError(InputError):
+    """A law that is spread over fewer directions than its space has no density to evaluate."""

@@ -1,0 +1,3 @@
+"""Densities that `torch.distributions` lacks."""
+
+from probtrack.distributions.linear_gaussian import LinearGaussian as LinearGaussian

@@ -1,0 +1,1 @@
+"""Reference computations that share no code with the package."""
