@@ -1,0 +1,233 @@
+"""The bootstrap particle filter, Algorithm 1 of S1, batched over runs and recordings."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from probtrack._checks import check_event, check_int
+from probtrack.dynamics import Dynamics, Kinematics
+from probtrack.errors import InputError, NotFiniteError
+from probtrack.filters.noise import NoiseStream
+from probtrack.filters.resampling import Adaptive, Resampler, systematic
+from probtrack.geometry import Region
+from probtrack.likelihoods import Likelihood
+from probtrack.tracks import Track, join
+
+_CHUNK = 2**16  # particles whose means are taken at once
+
+
+class Belief(NamedTuple):
+    """Particle cloud after a frame.
+
+    Attributes:
+        state: (*batch, N, D).
+        log_weight: (*batch, N), logsumexp = 0.
+        log_evidence: Accumulated log p(y_1:t) (*batch).
+    """
+
+    state: Tensor
+    log_weight: Tensor
+    log_evidence: Tensor
+
+
+class ParticleFilter(nn.Module):
+    r"""Bootstrap filter: predict by the dynamics, weight by the likelihood, resample on low N_eff.
+
+    .. math::
+        x_t^{(n)} \sim p(x_t \mid x_{t-1}^{(n)}), \qquad
+        w_t^{(n)} \propto w_{t-1}^{(n)}\, p(y_t \mid x_t^{(n)}), \qquad
+        \hat\ell_t = \sum_n w_t^{(n)} \ell_t^{(n)}
+
+    The module holds the models, so that `.parameters()` finds them, and no belief. Estimates are taken from
+    the weighted cloud before it is resampled: the same in expectation as S1's, with less variance. A
+    frame in which no particle is possible keeps the predicted cloud and its weights and is flagged `lost`.
+
+    Args:
+        dynamics: p(x_t | x_{t-1}).
+        likelihood: p(y_t | x_t).
+        num_particles: N.
+        resample: What happens to the cloud after each frame; S1's by default: systematic, on
+            N_eff < 0.75 N.
+        origin: Point (A,) that azimuths are seen from [m]; none are given without it.
+
+    Shape:
+        observations (T, *batch, ...), one tensor or a NamedTuple of them, batch axes of size 1 are shared;
+        belief (*batch, N, D); noise with the seeds of `batch`.
+
+    References:
+        S1 Algorithm 1; N. J. Gordon, D. J. Salmond, A. F. M. Smith, IEE Proc. F 140(2), 1993.
+    """
+
+    origin: Tensor | None
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        likelihood: Likelihood,
+        *,
+        num_particles: int = 75,
+        resample: Resampler | None = None,
+        origin: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        self.dynamics, self.likelihood = dynamics, likelihood
+        self.num_particles = check_int(num_particles, "num_particles", low=1)
+        self.resample = Adaptive(systematic) if resample is None else resample
+        self.register_buffer("origin", origin, persistent=False)
+
+    def noise(self, seeds: Tensor | int = 0) -> NoiseStream:
+        """Return the random numbers of runs with `seeds` (*batch), for this filter's sizes."""
+        like = next((p for p in self.parameters() if p.is_floating_point()), torch.empty(()))
+        uniforms = self.resample.num_uniforms(self.num_particles)
+        return NoiseStream(
+            seeds, self.num_particles, self.dynamics.noise_dim, uniforms, dtype=like.dtype, device=like.device
+        )
+
+    def spread_over(self, region: Region, noise: NoiseStream, speed: float = 0.5) -> Belief:
+        """Return a cloud uniform over `region`, moving at `speed` [m/s] r.m.s. on each axis."""
+        return self._at_rest_in(
+            region.from_unit(noise.uniform(self.num_particles, region.axes)), noise, speed
+        )
+
+    def spread_around(
+        self, point: Tensor, noise: NoiseStream, std: float = 0.1, speed: float = 0.5
+    ) -> Belief:
+        """Return a Gaussian cloud of `std` [m] around `point` (*batch, A) [m], moving at `speed` [m/s]."""
+        offset = std * noise.normal(self.num_particles, point.shape[-1])
+        return self._at_rest_in(point.to(offset)[..., None, :] + offset, noise, speed)
+
+    def _at_rest_in(self, position: Tensor, noise: NoiseStream, speed: float) -> Belief:
+        velocity = speed * noise.normal(*position.shape[-2:])
+        state = self.dynamics.from_kinematics(Kinematics(position, velocity))
+        log_weight = position.new_full(position.shape[:-1], -math.log(self.num_particles))
+        return Belief(state, log_weight, log_weight.new_zeros(log_weight.shape[:-1]))
+
+    def forward(self, observations: Any, initial: Belief, dt: float, noise: NoiseStream) -> Track:
+        """Return the track of a whole sequence from the cloud `initial` before its first frame."""
+        return self.advance(initial, observations, dt, noise)[1]
+
+    def step(self, belief: Belief, observation: Any, dt: float, noise: NoiseStream) -> tuple[Belief, Track]:
+        """Return the belief after one more frame, and its track of length one."""
+        return self.advance(belief, _with_time_axis(observation), dt, noise)
+
+    def advance(
+        self, belief: Belief, observations: Any, dt: float, noise: NoiseStream
+    ) -> tuple[Belief, Track]:
+        """Return the belief after a block of frames and the track over it, `dt` [s] a frame.
+
+        However a sequence is cut into blocks, the numbers are the same.
+
+        Raises:
+            NotFiniteError: if a likelihood is NaN, naming the frame.
+        """
+        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+            raise InputError(f"dt must be a positive number of seconds, got {dt}")
+        check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
+        transition = self.dynamics.transition(dt)
+        prepared = list(_frames(self.likelihood.prepare(observations)))
+        frames_at_once = max(1, _CHUNK // max(1, belief.log_weight.numel()))
+        state, log_weight = belief.state, belief.log_weight
+        pieces = []
+        for start in range(0, len(prepared), frames_at_once):
+            cloud = _Cloud([], [], [], [])
+            for t, observation in enumerate(prepared[start : start + frames_at_once], start):
+                normal, uniform = noise.frame()
+                state = transition(state, normal)
+                log_likelihood = self.likelihood(observation, self.dynamics.kinematics(state))
+                joint = log_weight + log_likelihood
+                log_weight, lost = _normalised(joint, log_weight, t)
+                cloud.add(state, log_weight, joint, lost)
+                state, log_weight = self.resample(state, log_weight, uniform)
+            pieces.append(self._summary(cloud))
+        if not pieces:
+            raise InputError("observations hold no frame")
+        track = join(pieces)
+        time = dt * torch.arange(track.num_frames, dtype=state.dtype, device=state.device)
+        evidence = belief.log_evidence + track.log_evidence.sum(0)
+        return Belief(state, log_weight, evidence), track._replace(time=time)
+
+    def _summary(self, cloud: "_Cloud") -> Track:
+        """Return means and spreads of the clouds of some frames, (T, *batch, ...)."""
+        log_weight, joint = torch.stack(cloud.log_weight), torch.stack(cloud.joint)
+        lost = torch.stack(cloud.lost)
+        weight = log_weight.exp()
+        row = weight[..., None, :]  # (T, *batch, 1, N)
+        kinematics = self.dynamics.kinematics(torch.stack(cloud.state))
+        mean = row @ kinematics.position
+        variance = row @ (kinematics.position - mean).square()
+        if kinematics.modelled_heading is None:
+            forward = (row @ kinematics.velocity)[..., 0, :]
+        else:
+            forward = (row @ _unit_vector(kinematics.modelled_heading))[..., 0, :]
+        evidence = joint.logsumexp(-1).masked_fill(lost, 0.0)
+        azimuth, std_azimuth = None, None
+        if self.origin is not None:
+            offset = kinematics.position[..., :2] - self.origin[:2]
+            direction = (row @ torch.nn.functional.normalize(offset, dim=-1))[..., 0, :]
+            azimuth, std_azimuth = torch.atan2(direction[..., 1], direction[..., 0]), _circular_std(direction)
+        return Track(
+            time=log_weight.new_zeros(len(lost)),
+            position=mean[..., 0, :],
+            std=variance[..., 0, :].sqrt(),
+            heading=torch.atan2(forward[..., 1], forward[..., 0]),
+            ess=1 / weight.square().sum(-1),
+            log_evidence=evidence,
+            lost=lost,
+            azimuth=azimuth,
+            std_azimuth=std_azimuth,
+        )
+
+
+class _Cloud(NamedTuple):
+    """Clouds of some frames, kept until their means are taken together."""
+
+    state: list[Tensor]
+    log_weight: list[Tensor]
+    joint: list[Tensor]
+    lost: list[Tensor]
+
+    def add(self, state: Tensor, log_weight: Tensor, joint: Tensor, lost: Tensor) -> None:
+        for column, value in zip(self, (state, log_weight, joint, lost), strict=True):
+            column.append(value)
+
+
+def _normalised(joint: Tensor, before: Tensor, frame: int) -> tuple[Tensor, Tensor]:
+    """Return normalised log weights (*batch, N) and which clouds are lost (*batch)."""
+    log_weight = torch.log_softmax(joint, -1)
+    first = log_weight[..., 0]
+    # log_softmax of a row that is -inf throughout is NaN throughout: one number tells it
+    if not math.isnan(first.sum().item()):
+        return log_weight, torch.zeros_like(first, dtype=torch.bool)
+    if joint.isnan().any():
+        raise NotFiniteError(f"the likelihood of frame {frame} is NaN")
+    lost = first.isnan()
+    return torch.where(lost[..., None], before, log_weight), lost
+
+
+def _circular_std(direction: Tensor) -> Tensor:
+    """Return sqrt(-2 log R) of mean unit vectors (..., 2), at most pi [rad]."""
+    tiny = torch.finfo(direction.dtype).tiny
+    squared = direction.square().sum(-1).clamp(tiny, 1.0)
+    return (-squared.log()).sqrt().clamp_max(math.pi)
+
+
+def _unit_vector(angle: Tensor) -> Tensor:
+    return torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def _frames(observations: Any) -> Iterator[Any]:
+    """Yield the frames of a tensor (T, ...) or a NamedTuple of such tensors."""
+    if isinstance(observations, Tensor):
+        return iter(observations.unbind(0))
+    return (
+        type(observations)(*columns) for columns in zip(*(x.unbind(0) for x in observations), strict=True)
+    )
+
+
+def _with_time_axis(observation: Any) -> Any:
+    if isinstance(observation, Tensor):
+        return observation[None]
+    return type(observation)(*(x[None] for x in observation))

@@ -1,0 +1,6 @@
+"""Observation models: log p(y_t | x_t)."""
+
+from probtrack.likelihoods.base import Likelihood as Likelihood
+from probtrack.likelihoods.gaussian import GaussianPosition as GaussianPosition
+from probtrack.likelihoods.steered_power import PreparedPower as PreparedPower
+from probtrack.likelihoods.steered_power import SteeredPowerLikelihood as SteeredPowerLikelihood

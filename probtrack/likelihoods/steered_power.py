@@ -1,0 +1,96 @@
+"""The beamformer likelihood of S1, gated by voice activity."""
+
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from probtrack._checks import as_positive, check_int
+from probtrack.dynamics import Kinematics
+from probtrack.errors import InputError
+from probtrack.geometry import Region
+from probtrack.likelihoods.base import Likelihood
+
+_SMALLEST_POWER = 1e-6  # of 1: interpolated power may fall below 0 by rounding; powers of it must not be NaN
+
+
+class CorrelationsAndSpeech(Protocol):
+    """What a front end observes: pair correlations `gcc` (T, *batch, P, K), `speech` (T, *batch)."""
+
+    @property
+    def gcc(self) -> Tensor: ...
+
+    @property
+    def speech(self) -> Tensor: ...
+
+
+class PreparedPower(NamedTuple):
+    """A block of observations with the weights of both mixture terms.
+
+    Attributes:
+        gcc: Pair correlations (T, *batch, P, K).
+        clutter: Density of a clutter measurement, q_0 / |D|, (T, *batch, 1).
+        target: What multiplies P^r, gamma (1 - q_0), (T, *batch, 1).
+    """
+
+    gcc: Tensor
+    clutter: Tensor
+    target: Tensor
+
+
+class SteeredPowerLikelihood(Likelihood):
+    r"""A peak of the steered power is the talker with the probability of speech, or else clutter anywhere.
+
+    .. math::
+        p(y \mid \ell) = q_0\, \mathcal U_D(\ell) + \gamma (1 - q_0)\, P(\ell)^r, \qquad q_0 = 1 - \alpha,
+        \qquad \gamma^{-1} = \int_D P(\ell)^r d\ell
+
+    and 0 outside the region D. P is the output power of a beamformer steered to the position and alpha
+    the probability of speech. Without speech the likelihood is flat over the region: the cloud moves by
+    its dynamics alone. The integral is a mean over the centres of a regular grid; both terms are densities.
+
+    Args:
+        power: Steered power of (gcc, points), such as `probtrack.audio.SteeredResponsePower`.
+        region: D, with as many axes as the tracked position.
+        exponent: Initial r; learnable as `log_exponent`. S1 squares the power: r = 2.
+        grid_points: About how many points the integral is a mean of.
+
+    Shape:
+        `prepare` takes observations with `gcc` (T, *batch, P, K) and `speech` (T, *batch). Returns (*batch, N).
+
+    References:
+        S1 eq. (4) and (5), with gamma normalised over D each frame and the exponent 2 a parameter.
+    """
+
+    points: Tensor
+    middle: Tensor
+    half_sizes: Tensor
+
+    def __init__(
+        self, power: nn.Module, region: Region, *, exponent: float = 2.0, grid_points: int = 400
+    ) -> None:
+        super().__init__()
+        self.power, self.region = power, region
+        self.log_exponent = nn.Parameter(as_positive(exponent, "exponent").log())
+        low, high = torch.tensor(region.low), torch.tensor(region.high)
+        grid = region.grid(check_int(grid_points, "grid_points", low=1))
+        self.register_buffer("points", grid, persistent=False)
+        self.register_buffer("middle", (low + high) / 2, persistent=False)
+        self.register_buffer("half_sizes", (high - low) / 2, persistent=False)
+
+    def prepare(self, observations: CorrelationsAndSpeech) -> PreparedPower:
+        gcc, speech = observations.gcc, observations.speech[..., None]
+        if not ((speech >= 0) & (speech <= 1)).all():
+            raise InputError("speech must be a probability in [0, 1]")
+        mean = self._to_the_exponent(self.power(gcc, self.points)).mean(-1, keepdim=True)
+        return PreparedPower(gcc, (1 - speech) / self.region.volume, speech / (self.region.volume * mean))
+
+    def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
+        position = kinematics.position
+        power = self._to_the_exponent(self.power(observation.gcc, position))
+        density = observation.clutter + observation.target * power
+        outside = ((position - self.middle).abs() > self.half_sizes).any(-1)
+        return density.log().masked_fill(outside, -torch.inf)
+
+    def _to_the_exponent(self, power: Tensor) -> Tensor:
+        return power.clamp_min(_SMALLEST_POWER).pow(self.log_exponent.exp())

@@ -1,0 +1,133 @@
+"""The tracker of Lehmann & Johansson 2007: steered power gated by voice activity, a bootstrap filter."""
+
+from typing import Literal
+
+from probtrack import dynamics
+from probtrack._checks import as_positive
+from probtrack.audio import (
+    EnergyVoiceActivity,
+    FrontEnd,
+    GeneralisedCrossCorrelation,
+    ShortTimeSpectrum,
+    SileroVoiceActivity,
+    SteeredResponsePower,
+)
+from probtrack.errors import InputError
+from probtrack.filters import Adaptive, ParticleFilter, resampling
+from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region
+from probtrack.likelihoods import SteeredPowerLikelihood
+from probtrack.trackers.tracker import Tracker
+
+Model = Literal["CU-LAN", "CU-LAN-ORIG", "CU-RWVE", "CU-TCVE"]
+Scheme = Literal["systematic", "stratified", "multinomial", "residual"]
+Detector = Literal["energy", "silero"]
+
+_SCHEMES: dict[str, resampling.Resampler] = {
+    "systematic": resampling.systematic,
+    "stratified": resampling.stratified,
+    "multinomial": resampling.multinomial,
+    "residual": resampling.residual,
+}
+
+
+def lehmann2007(
+    array: MicrophoneArray,
+    region: Region,
+    model: Model = "CU-LAN",
+    *,
+    num_particles: int = 75,
+    threshold: float = 0.75,
+    resample: Scheme = "systematic",
+    exponent: float = 2.0,
+    vad: Detector = "energy",
+    vad_threshold: float = 8.0,
+    vad_slope: float = 1.0,
+    height: float | None = None,
+    three_d: bool = False,
+    fs: int = 16_000,
+    frame_length: int = 512,
+    hop: int = 256,
+    band_low: float = 300.0,
+    band_high: float = 3000.0,
+    speed_of_sound: float = SPEED_OF_SOUND,
+) -> Tracker:
+    """Return the tracker of S1: steered power gated by voice activity and a bootstrap particle filter.
+
+    Args:
+        array: The microphones.
+        region: Where the talker can be [m]; its z range, if it has one, matters in 3-D only, but must hold
+            the height that is tracked.
+        model: Motion model of S1's Table 1.
+        num_particles: Particles N.
+        threshold: Resample when the effective sample size is below this share of N.
+        resample: Resampling scheme.
+        exponent: Exponent of the steered power in the likelihood.
+        vad: Voice activity detector: level over a tracked noise floor, or the neural one of silero-vad.
+        vad_threshold: Level over the noise floor that counts as speech with probability 1/2 [dB].
+        vad_slope: Steepness of the soft decision [1/dB].
+        height: Height z of the talker's mouth, for tracking in the plane [m]; the array's height if not given.
+        three_d: Track height too (needs microphones that differ in all three axes to see it).
+        fs: Working sampling rate [Hz].
+        frame_length: Samples in a frame.
+        hop: Samples between the starts of frames.
+        band_low: Lowest frequency used [Hz].
+        band_high: Highest frequency used [Hz].
+        speed_of_sound: Speed of sound [m/s].
+
+    Raises:
+        InputError: for values that cannot be, naming them.
+
+    References:
+        E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking - preliminary
+        results", PRJ-NICTA-PM-023, 2007: sections 2 and 3.1, N and N_thr of section 5.2. Frame length, hop and
+        sampling rate are not given there.
+    """
+    height = _height(array, region, height, three_d)
+    where = region if three_d else region.plane()
+    band = (band_low, band_high)
+    as_positive(float(fs), "fs")
+    stft = ShortTimeSpectrum(frame_length, hop)
+    gcc = GeneralisedCrossCorrelation(
+        array, fs=fs, frame_length=frame_length, band=band, speed_of_sound=speed_of_sound
+    )
+    power = SteeredResponsePower(
+        array, lag_rate=gcc.lag_rate, num_lags=gcc.num_lags, height=height, speed_of_sound=speed_of_sound
+    )
+    if vad == "energy":
+        detector = EnergyVoiceActivity(
+            fs=fs, frame_length=frame_length, hop=hop, band=band, threshold=vad_threshold, slope=vad_slope
+        )
+    elif vad == "silero":
+        detector = SileroVoiceActivity(fs=fs, hop=hop)
+    else:
+        raise InputError(f"vad must be 'energy' or 'silero', got {vad!r}")
+    if resample not in _SCHEMES:
+        raise InputError(f"resample must be one of {', '.join(_SCHEMES)}, got {resample!r}")
+    particle_filter = ParticleFilter(
+        dynamics.lehmann2007(model, axes=where.axes),
+        SteeredPowerLikelihood(power, where, exponent=exponent),
+        num_particles=num_particles,
+        resample=Adaptive(_SCHEMES[resample], threshold),
+        origin=array.centre,
+    )
+    return Tracker(FrontEnd(stft, gcc, detector), particle_filter, where, fs=fs)
+
+
+def _height(array: MicrophoneArray, region: Region, height: float | None, three_d: bool) -> float | None:
+    """Return the height of the tracked plane, None where there is no third axis; check both against the region."""
+    if array.axes == 2:
+        if three_d or height is not None:
+            what = "tracking in 3-D" if three_d else "a height"
+            raise InputError(f"{array.name}: {what} needs microphone positions (x, y, z), these are (x, y)")
+        return None
+    if three_d:
+        if region.axes == 2:
+            raise InputError("tracking in 3-D needs a region with a z range: low and high of 3 values")
+        return None
+    plane = float(array.centre[2]) if height is None else height
+    if region.axes == 3 and not region.low[2] <= plane <= region.high[2]:
+        raise InputError(
+            f"the region's height, z {region.low[2]:g} to {region.high[2]:g} m, misses the plane that is tracked, "
+            f"z = {plane:g} m" + (" (the array's)" if height is None else "")
+        )
+    return plane
