@@ -8,6 +8,7 @@ from types import ModuleType
 
 import torch
 from torch import Tensor
+from torchaudio.functional import highpass_biquad
 
 from probtrack.errors import InputError
 from probtrack.geometry import SPEED_OF_SOUND, Region
@@ -17,6 +18,7 @@ LEAD = 40
 """Samples of an impulse response before time 0, where the interpolation of an early sound rings."""
 
 _COMPLETE = 36.0  # dB of decay over which all image sources are there
+_AUDIBLE = 20.0  # Hz
 _RANGE = (-5.0, -35.0)  # dB of the decay to which the reverberation time is fitted: T30 of ISO 3382-1
 _PROBES = ((0.31, 0.42, 0.57), (0.63, 0.27, 0.44), (0.22, 0.71, 0.61), (0.74, 0.66, 0.36))  # of the size
 
@@ -36,11 +38,13 @@ def reverberation_time(response: Tensor, fs: float) -> Tensor:
 class ShoeboxRoom:
     """Empty rectangular room, all six walls alike at all frequencies, with one corner at the origin.
 
-    Responses come from the image source method of pyroomacoustics. A formula for the absorption that gives a
-    wanted T60 (Sabine's, Eyring's) misses it in a rectangular room by a third, so the absorption is found by
-    bisection on the decay of the energy of the very image sources that are used. Their order reaches as far
-    as the sound decays by 36 dB. What pyroomacoustics filters out below 10 Hz stays out: equal walls let
-    image sources add up there to 30 dB more than elsewhere.
+    Responses come from the image source method of pyroomacoustics. Formulas for the absorption that gives a
+    wanted T60 (Sabine's, Eyring's) miss it here by up to a quarter, so the absorption is found by
+    bisection on the decay of the energy of the very image sources that are used, whose order reaches as far
+    as the sound decays by 36 dB. The T60 realised is within 5 % on average, and 10 % between single places.
+    Below 20 Hz, where reflections from equal walls add up to 30 dB more than elsewhere, they are filtered
+    out, but by a causal filter: that of pyroomacoustics, which runs forth and back, would ring before the
+    direct sound.
 
     Args:
         size: Length, width and height [m].
@@ -100,8 +104,10 @@ class ShoeboxRoom:
         """
         self._check_inside(points, "talker")
         self._check_inside(microphones, "microphone")
-        order, absorption = (self.max_order, self.absorption) if self.t60 > 0 else (0, 0.0)
-        return self._responses(points, microphones, order, absorption)
+        direct = self._responses(points, microphones, 0, 0.0)
+        responses = self._reflection_responses(points, microphones) if self.t60 > 0 else torch.zeros_like(direct)
+        responses[..., : direct.shape[-1]] += direct
+        return responses.to(points.dtype)
 
     def render_moving(self, signal: Tensor, positions: Tensor, microphones: Tensor, *, spacing: float = 0.05) -> Tensor:
         """Return (M, S), what `microphones` (M, 3) hear of `signal` (S,) spoken at `positions` (S, 3).
@@ -140,12 +146,10 @@ class ShoeboxRoom:
         count = max(1, math.ceil(float(way[-1]) / spacing) + 1)
         knots = torch.linspace(0, float(way[-1]), count, dtype=torch.float64)
         firsts = torch.searchsorted(way, knots).clamp(max=size - 1)
-        direct = self._responses(path[firsts], microphones, 0, 0.0)
-        responses = self._responses(path[firsts], microphones, self.max_order, self.absorption)
-        responses[..., : direct.shape[-1]] -= direct
+        responses = self._reflection_responses(path[firsts], microphones)
         stage = way / float(way[-1]) * (count - 1) if count > 1 else torch.zeros_like(way)
         audio = torch.zeros(len(microphones), size + responses.shape[-1], dtype=torch.float64)
-        for k, response in enumerate(responses.double()):
+        for k, response in enumerate(responses):
             begin, end = torch.searchsorted(stage, torch.tensor([k - 1.0, k + 1.0], dtype=stage.dtype)).tolist()
             if k == count - 1:
                 end = size
@@ -154,6 +158,14 @@ class ShoeboxRoom:
             spectrum = torch.fft.rfft(part, length) * torch.fft.rfft(response, length)
             audio[:, begin : begin + length] += torch.fft.irfft(spectrum, length)
         return audio[:, LEAD : LEAD + size]
+
+    def _reflection_responses(self, points: Tensor, microphones: Tensor) -> Tensor:
+        """Return (K, M, L) without the direct sound and what lies below hearing."""
+        direct = self._responses(points, microphones, 0, 0.0)
+        responses = self._responses(points, microphones, self.max_order, self.absorption)
+        responses[..., : direct.shape[-1]] -= direct
+        audible: Tensor = highpass_biquad(responses, self.fs, _AUDIBLE)
+        return audible
 
     def _responses(self, points: Tensor, microphones: Tensor, order: int, absorption: float) -> Tensor:
         """Return (K, M, L), by reciprocity: images of the few microphones, heard at many points."""
@@ -169,13 +181,17 @@ class ShoeboxRoom:
         for microphone in microphones.double().cpu():
             room.add_source(microphone.numpy())
         room.add_microphone_array(points.double().cpu().numpy().T)
-        room.compute_rir()
-        responses = [[torch.from_numpy(response) for response in row] for row in room.rir]
-        length = max(len(response) for row in responses for response in row)
-        padded = torch.zeros(len(points), len(microphones), length)
+        before = pra.constants.get("rir_hpf_enable")  # can be set for the whole of pyroomacoustics only
+        pra.constants.set("rir_hpf_enable", False)
+        try:
+            room.compute_rir()
+        finally:
+            pra.constants.set("rir_hpf_enable", before)
+        length = max(len(response) for row in room.rir for response in row)
+        responses = torch.zeros(len(points), len(microphones), length, dtype=torch.float64)
         for k, m in itertools.product(range(len(points)), range(len(microphones))):
-            padded[k, m, : len(responses[k][m])] = responses[k][m]
-        return padded
+            responses[k, m, : len(room.rir[k][m])] = torch.from_numpy(room.rir[k][m])
+        return responses
 
     def _check_inside(self, points: Tensor, what: str) -> None:
         if points.ndim != 2 or points.shape[-1] != 3:
@@ -211,7 +227,7 @@ def _sampled_at(signal: Tensor, at: Tensor) -> Tensor:
     below -70 dB up to 0.44 of the sampling rate.
     """
     up, margin = 8, 64
-    size = 2 ** math.ceil(math.log2(len(signal) + 2 * margin))
+    size = 1 << math.ceil(math.log2(len(signal) + 2 * margin))
     padded = torch.nn.functional.pad(signal, (margin, size - len(signal) - margin))
     fine = torch.fft.irfft(torch.fft.rfft(padded), up * size) * up
     place = (at + margin) * up

@@ -56,10 +56,13 @@ def resonances(centres: Tensor, bandwidths: Tensor, frequency: Tensor, fs: int) 
         Eq. 2.
     """
     delay = torch.exp(-2j * math.pi * frequency / fs)
-    radius = torch.exp(-math.pi * bandwidths / fs)[..., None]
-    b = 2 * radius * torch.cos(2 * math.pi * centres / fs)[..., None]
+    radius = torch.exp(-math.pi * bandwidths / fs)
+    b = 2 * radius * torch.cos(2 * math.pi * centres / fs)
     c = -radius.square()
-    return ((1 - b - c) / (1 - b * delay - c * delay**2)).prod(-2)
+    denominator = torch.ones(())
+    for r in range(centres.shape[-1]):  # one by one, for the sake of memory
+        denominator = denominator * (1 - b[..., r, None] * delay - c[..., r, None] * delay**2)
+    return (1 - b - c).prod(-1, keepdim=True) / denominator
 
 
 def vocal_tract(formants: Tensor, bandwidths: Tensor, fs: int) -> Tensor:
@@ -93,9 +96,10 @@ def filter_frames(source: Tensor, responses: Tensor, fs: int) -> Tensor:
     filtered = torch.fft.irfft(torch.fft.rfft(frames, size) * responses, size)
     length = (len(responses) - 1) * hop + size
     summed = torch.nn.functional.fold(filtered.T[None], (1, length), (1, size), stride=(1, hop)).flatten()
-    return summed.narrow(0, hop, len(source))
+    return summed[hop : hop + len(source)]
 
 
 def _bins(fs: int) -> Tensor:
-    size = 2 ** math.ceil(math.log2(_RESPONSE * fs))
-    return torch.arange(size // 2 + 1, dtype=torch.float64) * fs / size
+    size = 1 << math.ceil(math.log2(_RESPONSE * fs))
+    frequency: Tensor = torch.fft.rfftfreq(size, 1 / fs, dtype=torch.float64)
+    return frequency
