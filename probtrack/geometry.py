@@ -66,7 +66,7 @@ class MicrophoneArray:
     @property
     def num_microphones(self) -> int:
         """Number of microphones M."""
-        return self.positions.shape[0]
+        return len(self.positions)
 
     @property
     def axes(self) -> int:
@@ -223,9 +223,7 @@ def _checked_positions(positions: Tensor | Sequence[Sequence[float]], name: str)
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{name}: positions must be a list of [x, y] or [x, y, z] numbers") from None
     if x.ndim != 2 or x.shape[0] < 2 or x.shape[1] not in (2, 3):
-        raise InputError(
-            f"{name}: positions must have shape (M, 2) or (M, 3) with M >= 2, got {tuple(x.shape)}"
-        )
+        raise InputError(f"{name}: positions must have shape (M, 2) or (M, 3) with M >= 2, got {tuple(x.shape)}")
     if not x.isfinite().all():
         raise InputError(f"{name}: positions must be finite")
     distances = torch.cdist(x, x).fill_diagonal_(math.inf)

@@ -44,9 +44,9 @@ class Track(NamedTuple):
 
 def join(tracks: Sequence[Track]) -> Track:
     """Return consecutive pieces of one track as one."""
-    first = tracks[0]
-    columns = [
-        None if column is None else torch.cat([piece[i] for piece in tracks])
-        for i, column in enumerate(first)
-    ]
-    return Track(*columns)
+
+    def joined(*pieces: Tensor | None) -> Tensor | None:
+        present = [piece for piece in pieces if piece is not None]
+        return torch.cat(present) if present else None
+
+    return Track._make(joined(*column) for column in zip(*tracks, strict=True))

@@ -64,9 +64,7 @@ class FrontEnd(nn.Module):
         """
         if samples.ndim < 2 or samples.shape[-2] != self.gcc.num_microphones:
             wanted = f"(..., {self.gcc.num_microphones}, n)"
-            raise ShapeError(
-                f"samples must have shape {wanted}, one row a microphone, got {tuple(samples.shape)}"
-            )
+            raise ShapeError(f"samples must have shape {wanted}, one row a microphone, got {tuple(samples.shape)}")
         if not samples.isfinite().all():
             raise NotFiniteError("samples hold NaN or infinite values")
         memory = None

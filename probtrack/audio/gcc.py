@@ -25,7 +25,7 @@ class GeneralisedCrossCorrelation(nn.Module):
     delay-and-sum beamformer as a share of its largest possible value, in [0, 1]; S1 eq. (2) is a multiple
     of it. A frame of digital silence gives R = 0.
 
-    The transform is a product with a matrix of cosines rather than an inverse FFT: only lags that a
+    The transform is a product with a matrix of waves rather than an inverse FFT: only lags that a
     source outside the array can cause are computed, and the frequency weights learn.
 
     Args:
@@ -49,8 +49,7 @@ class GeneralisedCrossCorrelation(nn.Module):
         IEEE Trans. ASSP 24(4), 1976, eq. (6) and Table I (PHAT); S1 eq. (2).
     """
 
-    cosine: Tensor
-    sine: Tensor
+    waves: Tensor
     first: Tensor
     second: Tensor
 
@@ -77,8 +76,7 @@ class GeneralisedCrossCorrelation(nn.Module):
         frequencies = torch.arange(self.low_bin, self.high_bin + 1, dtype=torch.float64) * fs / frame_length
         phase = 2 * math.pi * frequencies[:, None] * lags
         dtype = torch.get_default_dtype()
-        self.register_buffer("cosine", phase.cos().to(dtype), persistent=False)
-        self.register_buffer("sine", phase.sin().to(dtype), persistent=False)
+        self.register_buffer("waves", torch.cat([phase.cos(), phase.sin()]).to(dtype), persistent=False)
         self.register_buffer("first", array.pairs[:, 0], persistent=False)
         self.register_buffer("second", array.pairs[:, 1], persistent=False)
         self.log_weight = nn.Parameter(torch.zeros(len(frequencies)))
@@ -86,22 +84,25 @@ class GeneralisedCrossCorrelation(nn.Module):
 
     def forward(self, spectrum: Tensor) -> Tensor:
         band = spectrum[..., self.low_bin : self.high_bin + 1]
-        power = band.real.square() + band.imag.square()
+        # real and imaginary parts apart: complex products and their strided views cost twice as much
+        real, imag = band.real, band.imag
+        power = real.square() + imag.square()
         scale = (power + _SMALLEST_POWER).pow(-self.whitening / 2)
-        whitened = band * scale
-        total = (self.log_weight.exp() * power * scale.square()).sum((-1, -2))
-        weight = 2 * self.log_weight.exp() / (total.clamp_min(_SMALLEST_POWER)[..., None] * band.shape[-2])
-        left = whitened.index_select(-2, self.first) * weight[..., None, :]
-        cross = left * whitened.index_select(-2, self.second).conj()
-        return cross.real @ self.cosine - cross.imag @ self.sine
+        real, imag = real * scale, imag * scale
+        frequency_weight = self.log_weight.exp()
+        total = (frequency_weight * power * scale.square()).sum((-1, -2)).clamp_min(_SMALLEST_POWER)
+        weight = 2 * frequency_weight / (total[..., None, None] * self.num_microphones)
+        real_1, imag_1 = (x.index_select(-2, self.first) * weight for x in (real, imag))
+        real_2, imag_2 = (x.index_select(-2, self.second) for x in (real, imag))
+        in_phase = torch.addcmul(real_1 * real_2, imag_1, imag_2)
+        quadrature = torch.addcmul(real_1 * imag_2, imag_1, real_2, value=-1)
+        return torch.cat([in_phase, quadrature], -1) @ self.waves
 
 
 def _bins(band: tuple[float, float], fs: int, frame_length: int) -> tuple[int, int]:
     low, high = band
     if not 0 <= low < high <= fs / 2:
-        raise InputError(
-            f"band must satisfy 0 <= low < high <= fs / 2 = {fs / 2:g} Hz, got {low:g} to {high:g}"
-        )
+        raise InputError(f"band must satisfy 0 <= low < high <= fs / 2 = {fs / 2:g} Hz, got {low:g} to {high:g}")
     first, last = math.ceil(low * frame_length / fs), math.floor(high * frame_length / fs)
     if last < first:
         raise InputError(f"band from {low:g} to {high:g} Hz holds no bin of {fs / frame_length:g} Hz spacing")

@@ -56,6 +56,7 @@ class SteeredResponsePower(nn.Module):
         elif not math.isfinite(height):
             raise InputError(f"height must be finite, got {height}")
         self.height = height
+        self.in_plane = array.axes == 3 and bool((array.positions[:, 2] == height).all())
         # grid_sample wants (lag, row) in [-1, 1]: one product maps distances to microphones onto both
         steering = torch.zeros(array.num_microphones, self.num_pairs, 2)
         pair = torch.arange(self.num_pairs)
@@ -81,13 +82,16 @@ class SteeredResponsePower(nn.Module):
 
     def _table_coordinates(self, points: Tensor) -> Tensor:
         """Return where the delays of `points` (*batch, N, A) lie in the tables, (*batch, N, P, 2)."""
-        axes = self.positions.shape[1]
-        if points.shape[-1] == 2 and axes == 3:
-            points = pad(points, (0, 1), value=self.height)
-        elif points.shape[-1] != axes:
-            raise ShapeError(f"points must have shape (..., {axes}), got {tuple(points.shape)}")
-        distances = torch.cdist(points, self.positions, compute_mode="donot_use_mm_for_euclid_dist")
-        coordinates = distances.reshape(-1, distances.shape[-1]) @ self.steering + self.rows
+        positions = self.positions
+        if points.shape[-1] == 2 and positions.shape[1] == 3:
+            if self.in_plane:
+                positions = positions[:, :2]
+            else:
+                points = pad(points, (0, 1), value=self.height)
+        elif points.shape[-1] != positions.shape[1]:
+            raise ShapeError(f"points must have shape (..., {positions.shape[1]}), got {tuple(points.shape)}")
+        distances = torch.cdist(points, positions, compute_mode="donot_use_mm_for_euclid_dist")
+        coordinates = torch.addmm(self.rows, distances.reshape(-1, self.num_microphones), self.steering)
         return coordinates.view(*points.shape[:-1], self.num_pairs, 2)
 
 

@@ -1,15 +1,16 @@
 """The bootstrap particle filter, Algorithm 1 of S1, batched over runs and recordings."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from probtrack._checks import check_event, check_int
-from probtrack.dynamics import Dynamics, Kinematics
+from probtrack.dynamics import Dynamics, Kinematics, Transition
 from probtrack.errors import InputError, NotFiniteError
+from probtrack.filters.cloud import Clouds, summary
 from probtrack.filters.noise import NoiseStream
 from probtrack.filters.resampling import Adaptive, Resampler, systematic
 from probtrack.geometry import Region
@@ -88,13 +89,9 @@ class ParticleFilter(nn.Module):
 
     def spread_over(self, region: Region, noise: NoiseStream, speed: float = 0.5) -> Belief:
         """Return a cloud uniform over `region`, moving at `speed` [m/s] r.m.s. on each axis."""
-        return self._at_rest_in(
-            region.from_unit(noise.uniform(self.num_particles, region.axes)), noise, speed
-        )
+        return self._at_rest_in(region.from_unit(noise.uniform(self.num_particles, region.axes)), noise, speed)
 
-    def spread_around(
-        self, point: Tensor, noise: NoiseStream, std: float = 0.1, speed: float = 0.5
-    ) -> Belief:
+    def spread_around(self, point: Tensor, noise: NoiseStream, std: float = 0.1, speed: float = 0.5) -> Belief:
         """Return a Gaussian cloud of `std` [m] around `point` (*batch, A) [m], moving at `speed` [m/s]."""
         offset = std * noise.normal(self.num_particles, point.shape[-1])
         return self._at_rest_in(point.to(offset)[..., None, :] + offset, noise, speed)
@@ -113,118 +110,71 @@ class ParticleFilter(nn.Module):
         """Return the belief after one more frame, and its track of length one."""
         return self.advance(belief, _with_time_axis(observation), dt, noise)
 
-    def advance(
-        self, belief: Belief, observations: Any, dt: float, noise: NoiseStream
-    ) -> tuple[Belief, Track]:
+    def advance(self, belief: Belief, observations: Any, dt: float, noise: NoiseStream) -> tuple[Belief, Track]:
         """Return the belief after a block of frames and the track over it, `dt` [s] a frame.
 
         However a sequence is cut into blocks, the numbers are the same.
 
         Raises:
-            NotFiniteError: if a likelihood is NaN, naming the frame.
+            InputError: for a time step that is not positive, or no frame.
+            NotFiniteError: if a likelihood is NaN.
         """
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
             raise InputError(f"dt must be a positive number of seconds, got {dt}")
         check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
-        transition = self.dynamics.transition(dt)
         prepared = list(_frames(self.likelihood.prepare(observations)))
-        frames_at_once = max(1, _CHUNK // max(1, belief.log_weight.numel()))
-        state, log_weight = belief.state, belief.log_weight
-        pieces = []
-        for start in range(0, len(prepared), frames_at_once):
-            cloud = _Cloud([], [], [], [])
-            for t, observation in enumerate(prepared[start : start + frames_at_once], start):
-                normal, uniform = noise.frame()
-                state = transition(state, normal)
-                log_likelihood = self.likelihood(observation, self.dynamics.kinematics(state))
-                joint = log_weight + log_likelihood
-                log_weight, lost = _normalised(joint, log_weight, t)
-                cloud.add(state, log_weight, joint, lost)
-                state, log_weight = self.resample(state, log_weight, uniform)
-            pieces.append(self._summary(cloud))
-        if not pieces:
+        if not prepared:
             raise InputError("observations hold no frame")
+        frames_at_once = max(1, _CHUNK // max(1, belief.log_weight.numel()))
+        pieces = []
+        state, log_weight = belief.state, belief.log_weight
+        transition = self.dynamics.transition(dt)
+        for start in range(0, len(prepared), frames_at_once):
+            frames = prepared[start : start + frames_at_once]
+            state, log_weight, clouds = self._run(state, log_weight, frames, transition, noise)
+            pieces.append(summary(clouds, self.dynamics, self.origin))
         track = join(pieces)
         time = dt * torch.arange(track.num_frames, dtype=state.dtype, device=state.device)
         evidence = belief.log_evidence + track.log_evidence.sum(0)
         return Belief(state, log_weight, evidence), track._replace(time=time)
 
-    def _summary(self, cloud: "_Cloud") -> Track:
-        """Return means and spreads of the clouds of some frames, (T, *batch, ...)."""
-        log_weight, joint = torch.stack(cloud.log_weight), torch.stack(cloud.joint)
-        lost = torch.stack(cloud.lost)
-        weight = log_weight.exp()
-        row = weight[..., None, :]  # (T, *batch, 1, N)
-        kinematics = self.dynamics.kinematics(torch.stack(cloud.state))
-        mean = row @ kinematics.position
-        variance = row @ (kinematics.position - mean).square()
-        if kinematics.modelled_heading is None:
-            forward = (row @ kinematics.velocity)[..., 0, :]
-        else:
-            forward = (row @ _unit_vector(kinematics.modelled_heading))[..., 0, :]
-        evidence = joint.logsumexp(-1).masked_fill(lost, 0.0)
-        azimuth, std_azimuth = None, None
-        if self.origin is not None:
-            offset = kinematics.position[..., :2] - self.origin[:2]
-            direction = (row @ torch.nn.functional.normalize(offset, dim=-1))[..., 0, :]
-            azimuth, std_azimuth = torch.atan2(direction[..., 1], direction[..., 0]), _circular_std(direction)
-        return Track(
-            time=log_weight.new_zeros(len(lost)),
-            position=mean[..., 0, :],
-            std=variance[..., 0, :].sqrt(),
-            heading=torch.atan2(forward[..., 1], forward[..., 0]),
-            ess=1 / weight.square().sum(-1),
-            log_evidence=evidence,
-            lost=lost,
-            azimuth=azimuth,
-            std_azimuth=std_azimuth,
-        )
+    def _run(
+        self, state: Tensor, log_weight: Tensor, frames: Sequence[Any], transition: Transition, noise: NoiseStream
+    ) -> tuple[Tensor, Tensor, Clouds]:
+        """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one."""
+        # looked up once: nn.Module finds its parts slowly, and this loop is the whole cost of a small filter
+        likelihood, kinematics, resample = self.likelihood, self.dynamics.kinematics, self.resample
+        none_lost = torch.zeros(log_weight.shape[:-1], dtype=torch.bool, device=log_weight.device)
+        clouds = Clouds([], [], [], [])
+        for observation in frames:
+            normal, uniform = noise.frame()
+            state = transition(state, normal)  # step 1, prediction
+            joint = log_weight + likelihood(observation, kinematics(state))  # step 2, update
+            before, log_weight, lost = log_weight, torch.log_softmax(joint, -1), none_lost
+            # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
+            if math.isnan(log_weight[..., 0].sum().item()):
+                log_weight, lost = _kept(joint, before, log_weight)
+            clouds.state.append(state)
+            clouds.log_weight.append(log_weight)
+            clouds.joint.append(joint)
+            clouds.lost.append(lost)
+            state, log_weight = resample(state, log_weight, uniform)  # step 3, resampling
+        return state, log_weight, clouds
 
 
-class _Cloud(NamedTuple):
-    """Clouds of some frames, kept until their means are taken together."""
-
-    state: list[Tensor]
-    log_weight: list[Tensor]
-    joint: list[Tensor]
-    lost: list[Tensor]
-
-    def add(self, state: Tensor, log_weight: Tensor, joint: Tensor, lost: Tensor) -> None:
-        for column, value in zip(self, (state, log_weight, joint, lost), strict=True):
-            column.append(value)
-
-
-def _normalised(joint: Tensor, before: Tensor, frame: int) -> tuple[Tensor, Tensor]:
-    """Return normalised log weights (*batch, N) and which clouds are lost (*batch)."""
-    log_weight = torch.log_softmax(joint, -1)
-    first = log_weight[..., 0]
-    # log_softmax of a row that is -inf throughout is NaN throughout: one number tells it
-    if not math.isnan(first.sum().item()):
-        return log_weight, torch.zeros_like(first, dtype=torch.bool)
+def _kept(joint: Tensor, before: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the weights with those `before` where no particle was possible, and where that is."""
     if joint.isnan().any():
-        raise NotFiniteError(f"the likelihood of frame {frame} is NaN")
-    lost = first.isnan()
+        raise NotFiniteError("the likelihood of a frame is NaN: an observation or a parameter is not finite")
+    lost = joint.isneginf().all(-1)
     return torch.where(lost[..., None], before, log_weight), lost
-
-
-def _circular_std(direction: Tensor) -> Tensor:
-    """Return sqrt(-2 log R) of mean unit vectors (..., 2), at most pi [rad]."""
-    tiny = torch.finfo(direction.dtype).tiny
-    squared = direction.square().sum(-1).clamp(tiny, 1.0)
-    return (-squared.log()).sqrt().clamp_max(math.pi)
-
-
-def _unit_vector(angle: Tensor) -> Tensor:
-    return torch.stack([angle.cos(), angle.sin()], -1)
 
 
 def _frames(observations: Any) -> Iterator[Any]:
     """Yield the frames of a tensor (T, ...) or a NamedTuple of such tensors."""
     if isinstance(observations, Tensor):
         return iter(observations.unbind(0))
-    return (
-        type(observations)(*columns) for columns in zip(*(x.unbind(0) for x in observations), strict=True)
-    )
+    return (type(observations)(*columns) for columns in zip(*(x.unbind(0) for x in observations), strict=True))
 
 
 def _with_time_axis(observation: Any) -> Any:

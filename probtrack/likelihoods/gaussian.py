@@ -1,12 +1,28 @@
 """A measured position with Gaussian error."""
 
 import math
+from typing import NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 from probtrack._checks import as_positive
 from probtrack.dynamics import Kinematics
 from probtrack.likelihoods.base import Likelihood
+
+
+class MeasuredPosition(NamedTuple):
+    """Measured positions with the two numbers that make a log density of a squared error.
+
+    Attributes:
+        position: (T, *batch, 1, A) [m].
+        scale: -1 / (2 sigma^2) (T, 1).
+        constant: -A log(sigma sqrt(2 pi)) (T, 1).
+    """
+
+    position: Tensor
+    scale: Tensor
+    constant: Tensor
 
 
 class GaussianPosition(Likelihood):
@@ -20,15 +36,20 @@ class GaussianPosition(Likelihood):
         std: Initial standard deviation sigma of the error [m]; learnable as `log_std`.
 
     Shape:
-        observation (*batch, A) [m]; returns (*batch, N).
+        `prepare` takes observations (T, *batch, A) [m]. Returns (*batch, N).
     """
 
     def __init__(self, std: float) -> None:
         super().__init__()
         self.log_std = nn.Parameter(as_positive(std, "std").log())
 
-    def forward(self, observation: Tensor, kinematics: Kinematics) -> Tensor:
-        error = kinematics.position - observation[..., None, :]
-        squares = error.square().sum(-1)
-        constant = error.shape[-1] * (self.log_std + 0.5 * math.log(2 * math.pi))
-        return squares * (-0.5 * (-2 * self.log_std).exp()) - constant
+    def prepare(self, observations: Tensor) -> MeasuredPosition:
+        axes = observations.shape[-1]
+        constant = -axes * (self.log_std + 0.5 * math.log(2 * math.pi))
+        scale = -0.5 * (-2 * self.log_std).exp()
+        frames = (len(observations), 1)
+        return MeasuredPosition(observations[..., None, :], scale.expand(frames), constant.expand(frames))
+
+    def forward(self, observation: MeasuredPosition, kinematics: Kinematics) -> Tensor:
+        squares = (kinematics.position - observation.position).square().sum(-1)
+        return torch.addcmul(observation.constant, squares, observation.scale)

@@ -66,9 +66,7 @@ class SteeredPowerLikelihood(Likelihood):
     middle: Tensor
     half_sizes: Tensor
 
-    def __init__(
-        self, power: nn.Module, region: Region, *, exponent: float = 2.0, grid_points: int = 400
-    ) -> None:
+    def __init__(self, power: nn.Module, region: Region, *, exponent: float = 2.0, grid_points: int = 400) -> None:
         super().__init__()
         self.power, self.region = power, region
         self.log_exponent = nn.Parameter(as_positive(exponent, "exponent").log())
@@ -89,7 +87,7 @@ class SteeredPowerLikelihood(Likelihood):
         position = kinematics.position
         power = self._to_the_exponent(self.power(observation.gcc, position))
         density = observation.clutter + observation.target * power
-        outside = ((position - self.middle).abs() > self.half_sizes).any(-1)
+        outside = ((position.detach() - self.middle).abs() > self.half_sizes).any(-1)
         return density.log().masked_fill(outside, -torch.inf)
 
     def _to_the_exponent(self, power: Tensor) -> Tensor:

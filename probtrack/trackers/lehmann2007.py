@@ -11,6 +11,7 @@ from probtrack.audio import (
     ShortTimeSpectrum,
     SileroVoiceActivity,
     SteeredResponsePower,
+    VoiceActivity,
 )
 from probtrack.errors import InputError
 from probtrack.filters import Adaptive, ParticleFilter, resampling
@@ -87,12 +88,11 @@ def lehmann2007(
     band = (band_low, band_high)
     as_positive(float(fs), "fs")
     stft = ShortTimeSpectrum(frame_length, hop)
-    gcc = GeneralisedCrossCorrelation(
-        array, fs=fs, frame_length=frame_length, band=band, speed_of_sound=speed_of_sound
-    )
+    gcc = GeneralisedCrossCorrelation(array, fs=fs, frame_length=frame_length, band=band, speed_of_sound=speed_of_sound)
     power = SteeredResponsePower(
         array, lag_rate=gcc.lag_rate, num_lags=gcc.num_lags, height=height, speed_of_sound=speed_of_sound
     )
+    detector: VoiceActivity
     if vad == "energy":
         detector = EnergyVoiceActivity(
             fs=fs, frame_length=frame_length, hop=hop, band=band, threshold=vad_threshold, slope=vad_slope

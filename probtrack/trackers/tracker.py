@@ -57,8 +57,9 @@ class Tracker(nn.Module):
 
         Args:
             seeds: (*batch, *runs) integers: one run each.
-            start: Where the talker is at first (A,) or (*seeds' shape, A) [m]: a cloud of standard
-                deviation `start_std` [m] around it. None spreads the cloud over the whole region.
+            start: Where the talker is at first (A,) or (*seeds' shape, A) [m]. None spreads the cloud
+                over the whole region.
+            start_std: Standard deviation of the cloud around `start` [m].
 
         Raises:
             InputError: for a start point outside the region.
@@ -100,6 +101,7 @@ class Tracker(nn.Module):
         """Return the track of whole recordings `samples` (*batch, M, n).
 
         Args:
+            samples: Sound pressure on any scale.
             seeds: One run for each, (*batch, *runs).
             start: As in `begin`.
             block: Samples are worked on in pieces of this length [s]; the numbers do not depend on it.

@@ -63,3 +63,10 @@ def cumulative(weight: Tensor) -> Tensor:
     """
     total = weight.cumsum(-1)
     return total / total[..., -1:]
+
+
+def counts(below: Tensor) -> Tensor:
+    """Return the differences (*batch, N) of how many draws lie below each cumulative weight, as integers."""
+    difference = below.long()
+    difference[..., 1:] -= below[..., :-1].long()
+    return difference

@@ -1,9 +1,8 @@
 """Stratified resampling: one uniform number in each of N equal strata."""
 
-import torch
 from torch import Tensor
 
-from probtrack.filters.resampling.base import Ancestral, cumulative
+from probtrack.filters.resampling.base import Ancestral, counts, cumulative
 
 
 def stratified_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
@@ -24,8 +23,7 @@ def stratified_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
     scaled = num_particles * cumulative(weight)
     stratum = scaled.floor().clamp_max(num_particles - 1)
     first = uniforms.gather(-1, stratum.long()) < scaled - stratum
-    below = torch.where(scaled >= num_particles, num_particles, stratum + first).long()
-    return torch.cat([below[..., :1], below.diff(dim=-1)], -1)
+    return counts((stratum + first).masked_fill_(scaled >= num_particles, num_particles))
 
 
 stratified = Ancestral(stratified_offspring, each=True)

@@ -1,9 +1,8 @@
 """Systematic resampling: one uniform number shifts a regular comb over the cumulative weights."""
 
-import torch
 from torch import Tensor
 
-from probtrack.filters.resampling.base import Ancestral, cumulative
+from probtrack.filters.resampling.base import Ancestral, counts, cumulative
 
 
 def systematic_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
@@ -20,13 +19,14 @@ def systematic_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
         J. Carpenter, P. Clifford, P. Fearnhead, "Improved particle filter for nonlinear problems", IEE Proc.
         Radar, Sonar and Navigation 146(1), 1999; S1 Algorithm 1, step 3, leaves the scheme open.
 
+    >>> import torch
     >>> systematic_offspring(torch.tensor([0.1, 0.6, 0.3]), torch.tensor([0.5])).tolist()
     [0, 2, 1]
     """
     num_particles = weight.shape[-1]
     reached = cumulative(weight)
-    below = torch.where(reached >= 1, num_particles, (num_particles * reached - uniforms).ceil_()).long()
-    return torch.cat([below[..., :1], below.diff(dim=-1)], -1)
+    below = (num_particles * reached).sub_(uniforms).ceil_().masked_fill_(reached >= 1, num_particles)
+    return counts(below)
 
 
 systematic = Ancestral(systematic_offspring, each=False)
