@@ -53,6 +53,13 @@ def test_direct_path_has_the_delay_and_loss_of_its_distance():
         torch.testing.assert_close(gain, (1 / d).expand(800), rtol=0.01, atol=0)
 
 
+def test_reflections_leave_the_direct_path_alone():
+    pytest.importorskip("pyroomacoustics")
+    point, end = torch.tensor([[1.6, 0.7, 1.3]]), LEAD + 32  # heard after 24 samples, by the wall after 49
+    dry, wet = (ShoeboxRoom(SIZE, t60).impulse_responses(point, microphones())[0, 0] for t60 in (0.0, 0.27))
+    torch.testing.assert_close(wet[:end], dry[:end], rtol=0, atol=0.02 * float(dry.max()))
+
+
 def test_nothing_arrives_before_the_direct_path():
     pytest.importorskip("pyroomacoustics")
     point = torch.tensor([[1.1, 1.9, 1.5]])
