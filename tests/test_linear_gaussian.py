@@ -14,9 +14,7 @@ from probtrack.errors import InputError, ShapeError, SingularLawError
 
 def full_rank(*batch):
     """Law in three dimensions driven by five numbers, with rows of very different scale."""
-    return LinearGaussian(
-        torch.randn(*batch, 3), torch.randn(*batch, 3, 5) * torch.tensor([[1e-4], [1.0], [300.0]])
-    )
+    return LinearGaussian(torch.randn(*batch, 3), torch.randn(*batch, 3, 5) * torch.tensor([[1e-4], [1.0], [300.0]]))
 
 
 def rank_one():
@@ -85,6 +83,11 @@ def test_no_density_without_full_row_rank(gain, scale, dtype):
         law.log_prob(law.sample())
 
 
+def test_a_variable_without_noise_is_said_to_be():
+    with pytest.raises(SingularLawError, match="no noise reaches some variable"):
+        LinearGaussian(torch.zeros(2), torch.tensor([[0.3, 0.1], [0.0, 0.0]])).log_prob(torch.zeros(2))
+
+
 def test_no_density_if_one_of_a_batch_has_none():
     gain = torch.randn(3, 2, 4)
     gain[1, 1] = -2 * gain[1, 0]
@@ -131,9 +134,7 @@ def test_float32_is_close_to_float64():
     loc = law.loc * law.stddev  # else what is lost is in value - loc
     value = loc + law.gain.sum(-1)
     single = LinearGaussian(loc.float(), law.gain.float()).log_prob(value.float())
-    torch.testing.assert_close(
-        single.double(), LinearGaussian(loc, law.gain).log_prob(value), rtol=1e-5, atol=1e-5
-    )
+    torch.testing.assert_close(single.double(), LinearGaussian(loc, law.gain).log_prob(value), rtol=1e-5, atol=1e-5)
 
 
 def test_works_in_a_pyro_model():
@@ -143,9 +144,7 @@ def test_works_in_a_pyro_model():
     law = full_rank()
     with pyro.plate("talkers", 6):
         drawn = pyro.sample("x", PyroLaw(law.loc, law.gain))
-    trace = pyro.poutine.trace(
-        lambda: pyro.sample("x", PyroLaw(law.loc, law.gain).expand([6]).to_event(1))
-    ).get_trace()
+    trace = pyro.poutine.trace(lambda: pyro.sample("x", PyroLaw(law.loc, law.gain).expand([6]).to_event(1))).get_trace()
     assert drawn.shape == (6, 3)
     torch.testing.assert_close(trace.log_prob_sum(), law.log_prob(trace.nodes["x"]["value"]).sum())
 
