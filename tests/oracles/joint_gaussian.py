@@ -36,9 +36,7 @@ class JointGaussian:
         """Return mean (T, D) and covariance (T, D, D) of x_t given what is observed up to t."""
         T = self.shape[0]
         seen = [self.given(y, [s for s in range(t + 1) if observed[s]]) for t in range(T)]
-        return np.stack([m[t] for t, (m, _) in enumerate(seen)]), np.stack(
-            [P[t] for t, (_, P) in enumerate(seen)]
-        )
+        return np.stack([m[t] for t, (m, _) in enumerate(seen)]), np.stack([P[t] for t, (_, P) in enumerate(seen)])
 
     def log_evidence(self, y, observed):
         """Return log p of the observed frames of y (T, J)."""
