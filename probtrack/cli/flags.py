@@ -1,0 +1,111 @@
+"""Flags from signatures, and values that users write in their own way: points, regions, channels."""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import docstring_parser
+from jsonargparse import ArgumentParser, Namespace
+
+from probtrack.errors import InputError
+from probtrack.geometry import Region, shipped_arrays
+
+_SPELLINGS = {"three_d": "--3d"}  # a parameter's name cannot begin with a digit, a flag can
+_TAKES_COORDINATES = ("--start", "--region")
+
+
+def parser(command: str, description: str) -> ArgumentParser:
+    """Return a parser whose errors are `InputError` rather than an exit with pages of usage."""
+    return ArgumentParser(
+        prog=f"probtrack {command}",
+        description=description,
+        exit_on_error=False,
+        default_env=False,
+    )
+
+
+def add_signature(to: ArgumentParser, function: Callable[..., Any], skip: Collection[str] = ()) -> None:
+    """Add a flag for every parameter of `function` with a default, with its docstring's words as help."""
+    help_of = {p.arg_name: p.description for p in docstring_parser.parse(inspect.getdoc(function) or "").params}
+    hints = get_type_hints(function)
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name in skip or parameter.default is inspect.Parameter.empty:
+            continue
+        flag = _SPELLINGS.get(name, "--" + name.replace("_", "-"))
+        text = " ".join((help_of.get(name) or "").split())
+        if hints[name] is bool:
+            to.add_argument(flag, dest=name, action="store_true", default=parameter.default, help=text)
+        else:
+            to.add_argument(flag, dest=name, type=hints[name], default=parameter.default, help=text)
+
+
+def parsed(by: ArgumentParser, argv: Sequence[str]) -> Namespace:
+    """Parse `argv`; `InputError` says in one line what is wrong with it."""
+    try:
+        return by.parse_args(_joined(argv))
+    except Exception as error:  # jsonargparse raises its own, argparse's and YAML's errors
+        if type(error).__name__ not in ("ArgumentError", "ParserError") and not isinstance(
+            error, (ValueError, OSError)
+        ):
+            raise
+        raise InputError(_first_line(str(error))) from None
+
+
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Join a flag and its coordinates, since argparse takes '-1,2' for another flag."""
+    joined: list[str] = []
+    for argument in argv:
+        if joined and joined[-1] in _TAKES_COORDINATES and re.match(r"-[\d.]", argument):
+            joined[-1] += "=" + argument
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _first_line(message: str) -> str:
+    return " ".join(line.strip() for line in message.splitlines() if line.strip())
+
+
+def warn(command: str, message: str) -> None:
+    """Print one line to standard error."""
+    print(f"probtrack {command}: warning: {message}", file=sys.stderr)  # noqa: T201
+
+
+def array_path(value: str) -> Path:
+    """Return the array file that a user means: a path, or the name of one that ships with probtrack."""
+    return shipped_arrays().get(value, Path(value))
+
+
+def point(value: str, flag: str) -> tuple[float, ...]:
+    """Return 'x,y' or 'x,y,z' as numbers [m]."""
+    try:
+        numbers = tuple(float(part) for part in value.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in (2, 3):
+        raise InputError(f"{flag} must be x,y or x,y,z in metres, got {value!r}")
+    return numbers
+
+
+def region(value: str) -> Region:
+    """Return 'x,y:x,y' or 'x,y,z:x,y,z' (low and high corner) as a region [m]."""
+    corners = value.split(":")
+    if len(corners) != 2:
+        raise InputError(f"--region must be LOW:HIGH, two corners such as 0,0:3.5,3.1, got {value!r}")
+    return Region(point(corners[0], "--region"), point(corners[1], "--region"))
+
+
+def channel_numbers(value: str) -> tuple[int, ...]:
+    """Return '1,2,5-8' as 0-based channel indices (0, 1, 4, 5, 6, 7)."""
+    numbers: list[int] = []
+    for part in value.split(","):
+        ends = re.fullmatch(r"(\d+)(?:-(\d+))?", part.strip())
+        if ends is None or int(ends[1]) < 1:
+            raise InputError(f"--channels must be numbers from 1 such as 1,2,5-8, got {value!r}")
+        numbers.extend(range(int(ends[1]), int(ends[2] or ends[1]) + 1))
+    if len(set(numbers)) != len(numbers) or not numbers:
+        raise InputError(f"--channels must name each channel once, got {value!r}")
+    return tuple(number - 1 for number in numbers)

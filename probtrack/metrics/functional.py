@@ -1,0 +1,59 @@
+"""How far a track is from the truth: the figures of S1, and azimuth."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from probtrack.errors import InputError
+from probtrack.geometry import wrap_angle
+
+
+def position_error(estimate: Tensor, truth: Tensor) -> Tensor:
+    r"""Return :math:`\varepsilon_k = \lVert \ell_k - \hat\ell_k \rVert` (...) [m] of positions (..., A) (S1 eq. 6)."""
+    return torch.linalg.vector_norm(estimate - truth, dim=-1)
+
+
+def root_mean_square(error: Tensor) -> Tensor:
+    r"""Return :math:`\sqrt{\frac1K \sum_k \varepsilon_k^2}` over the first axis of `error` (K, ...) (S1 eq. 7)."""
+    return error.square().mean(0).sqrt()
+
+
+def final_error(error: Tensor, dt: float, *, window: float = 0.5) -> Tensor:
+    r"""Return the mean (...) [m] of `error` (K, ...) of the last :math:`k^* = \lceil 0.5\,\mathrm s / T \rceil` frames.
+
+    Args:
+        error: Position errors [m], time first.
+        dt: Time between frames T [s].
+        window: Length of the end that counts [s].
+
+    References:
+        S1 eq. (8), left side, which sums k* + 1 terms and divides by k* - 1: here the mean of k* frames.
+    """
+    # a hair less, so that 0.5 s of frames of 0.1 s are 5 and not 6 by rounding
+    frames = math.ceil(window / dt * (1 - 1e-9))
+    if len(error) < frames:
+        raise InputError(f"track loss looks at the last {frames} frames ({window:g} s), got {len(error)}")
+    return error[-frames:].mean(0)
+
+
+def track_lost(error: Tensor, dt: float, *, threshold: float = 0.1, window: float = 0.5) -> Tensor:
+    r"""Return :math:`\zeta = [\text{final error} > \delta]` (...) bool: whether the track is lost at the end.
+
+    Its mean over runs, in per cent, is the track loss percentage (TLP).
+
+    Args:
+        error: Position errors (K, ...) [m], time first.
+        dt: Time between frames T [s].
+        threshold: delta [m].
+        window: Length of the end that counts [s].
+
+    References:
+        S1 eq. (8), read as in `final_error`.
+    """
+    return final_error(error, dt, window=window) > threshold
+
+
+def azimuth_error(estimate: Tensor, truth: Tensor) -> Tensor:
+    """Return the angle between azimuths (...), the short way round, in [0, pi] [rad]."""
+    return wrap_angle(estimate - truth).abs()
