@@ -76,7 +76,8 @@ class MicrophoneArray:
     @property
     def centre(self) -> Tensor:
         """Mean of the microphone positions (A,) [m]: the point azimuths are seen from."""
-        return self.positions.mean(dim=0)
+        centre: Tensor = self.positions.mean(0)
+        return centre
 
     @property
     def pairs(self) -> Tensor:
@@ -87,7 +88,8 @@ class MicrophoneArray:
     def pair_distances(self) -> Tensor:
         """Distance between the two microphones of each pair, (P,) [m]."""
         first, second = self.positions[self.pairs].unbind(1)
-        return torch.linalg.vector_norm(first - second, dim=-1)
+        distances: Tensor = torch.linalg.vector_norm(first - second, dim=-1)
+        return distances
 
     @property
     def diameter(self) -> float:
@@ -99,7 +101,8 @@ class MicrophoneArray:
         if points.shape[-1] != self.axes:
             raise InputError(f"points must have shape (..., {self.axes}), got {tuple(points.shape)}")
         positions = self.positions.to(points)
-        return torch.linalg.vector_norm(points[..., None, :] - positions, dim=-1) / speed_of_sound
+        distances: Tensor = torch.linalg.vector_norm(points[..., None, :] - positions, dim=-1)
+        return distances / speed_of_sound
 
     def select(self, channels: Sequence[int]) -> "MicrophoneArray":
         """Return the array of the microphones `channels` (0-based) in that order."""
@@ -118,7 +121,7 @@ class MicrophoneArray:
 
     def to_yaml(self, path: str | Path, region: "Region | None" = None) -> None:
         """Write the array, and the region it listens to if given, as YAML that `from_yaml` reads back."""
-        content: dict[str, Any] = {"name": self.name, "positions": self.positions.double().tolist()}
+        content: dict[str, Any] = {"name": self.name, "positions": _decimal(self.positions)}
         if region is not None:
             content["region"] = {"low": list(region.low), "high": list(region.high)}
         Path(path).write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
@@ -203,6 +206,11 @@ def shipped_arrays() -> dict[str, Path]:
     """Return the array files that ship with probtrack, by name."""
     folder = Path(str(resources.files("probtrack") / "arrays"))
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def _decimal(positions: Tensor) -> list[list[float]]:
+    """Return positions as decimals of a micrometre, so that float32 does not print its binary tail."""
+    return [[round(value, 6) for value in row] for row in positions.tolist()]
 
 
 def _read_yaml(path: str | Path, what: str) -> dict[str, Any]:

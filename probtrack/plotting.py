@@ -70,8 +70,9 @@ def _canvas() -> tuple[Any, dict[str, "Axes"], "Axes"]:
         raise ImportError("plots need matplotlib: pip install 'probtrack[report]'") from None
     # Figure alone, without pyplot: nothing is registered globally and no display is asked for
     figure = Figure(figsize=(14, 8), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))
-    axes: Any = left.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 1.4))
+    panels: Any = figure.subfigures(1, 2, width_ratios=(1.35, 1))
+    left, right = panels
+    axes = left.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 1.4))
     names = ("x", "y", "azimuth", "speech")
     labels = ("x [m]", "y [m]", "azimuth [°]", "P(speech)")
     for axis, label in zip(axes, labels, strict=True):

@@ -39,22 +39,21 @@ def run(argv: Sequence[str]) -> int:
     if recordings and len(args.inputs) > 1:
         raise InputError(f"{recordings[0]}: give either one recording or track files ({', '.join(SUFFIXES)})")
     if recordings:
-        table, array, region = _tracked(args, recordings[0])
-        plot_tracks([table], args.output, truth=truth, array=array, region=region)
-        return 0
-    tables = [read_track(path) for path in args.inputs]
-    path = flags.array_path(args.array) if args.array else None
-    array = MicrophoneArray.from_yaml(path) if path else None
-    region = flags.region(args.region) if args.region else Region.from_yaml(path) if path else None
+        tables, array, region = _tracked(args, recordings[0])
+    else:
+        tables = [read_track(path) for path in args.inputs]
+        path = flags.array_path(args.array) if args.array else None
+        array = MicrophoneArray.from_yaml(path) if path else None
+        region = flags.region(args.region) if args.region else Region.from_yaml(path) if path else None
     plot_tracks(tables, args.output, truth=truth, array=array, region=region)
     return 0
 
 
-def _tracked(args: Namespace, audio: str) -> tuple[TrackTable, MicrophoneArray, Region]:
+def _tracked(args: Namespace, audio: str) -> tuple[list[TrackTable], MicrophoneArray | None, Region | None]:
     args.audio = audio
     job = prepared("plot", args)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{Path(audio).stem}.csv"
         with TrackWriter.open(path) as writer:
             track_to(writer, job)
-        return read_track(path), job.array, job.region
+        return [read_track(path)], job.array, job.region

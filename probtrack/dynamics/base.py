@@ -80,7 +80,7 @@ def driven_by(law: Distribution, noise: Tensor) -> Tensor:
         InputError: for a law that is not Gaussian; its model must define `transition` itself.
     """
     if isinstance(law, LinearGaussian):
-        return law.loc + (law.gain @ noise[..., None])[..., 0]
+        return law.at_noise(noise)
     if isinstance(law, MultivariateNormal):
         return law.loc + (law.scale_tril @ noise[..., None])[..., 0]
     if isinstance(law, Independent) and isinstance(law.base_dist, Normal):

@@ -1,5 +1,6 @@
 """The beamformer likelihood of S1, gated by voice activity."""
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import torch
@@ -22,6 +23,16 @@ class CorrelationsAndSpeech(Protocol):
 
     @property
     def speech(self) -> Tensor: ...
+
+
+class TabulatedPower(Protocol):
+    """A module that knows the steered power, such as `probtrack.audio.SteeredResponsePower`."""
+
+    def __call__(self, gcc: Tensor, points: Tensor) -> Tensor:
+        """Return the power (*batch, N) at `points` (*batch, N, A)."""
+
+    def at(self, points: Tensor) -> Callable[[Tensor], Tensor]:
+        """Return what maps gcc (..., P, K) to the power (..., G) at `points` (G, A) that stay the same."""
 
 
 class PreparedPower(NamedTuple):
@@ -50,7 +61,7 @@ class SteeredPowerLikelihood(Likelihood):
     its dynamics alone. The integral is a mean over the centres of a regular grid; both terms are densities.
 
     Args:
-        power: Steered power of (gcc, points), such as `probtrack.audio.SteeredResponsePower`.
+        power: Steered power, a module such as `probtrack.audio.SteeredResponsePower`.
         region: D, with as many axes as the tracked position.
         exponent: Initial r; learnable as `log_exponent`. S1 squares the power: r = 2.
         grid_points: About how many points the integral is a mean of.
@@ -62,17 +73,15 @@ class SteeredPowerLikelihood(Likelihood):
         S1 eq. (4) and (5), with gamma normalised over D each frame and the exponent 2 a parameter.
     """
 
-    points: Tensor
     middle: Tensor
     half_sizes: Tensor
 
-    def __init__(self, power: nn.Module, region: Region, *, exponent: float = 2.0, grid_points: int = 400) -> None:
+    def __init__(self, power: TabulatedPower, region: Region, *, exponent: float = 2.0, grid_points: int = 400) -> None:
         super().__init__()
         self.power, self.region = power, region
         self.log_exponent = nn.Parameter(as_positive(exponent, "exponent").log())
         low, high = torch.tensor(region.low), torch.tensor(region.high)
-        grid = region.grid(check_int(grid_points, "grid_points", low=1))
-        self.register_buffer("points", grid, persistent=False)
+        self.power_on_grid = power.at(region.grid(check_int(grid_points, "grid_points", low=1)))
         self.register_buffer("middle", (low + high) / 2, persistent=False)
         self.register_buffer("half_sizes", (high - low) / 2, persistent=False)
 
@@ -80,13 +89,13 @@ class SteeredPowerLikelihood(Likelihood):
         gcc, speech = observations.gcc, observations.speech[..., None]
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
-        mean = self._to_the_exponent(self.power(gcc, self.points)).mean(-1, keepdim=True)
+        mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
         return PreparedPower(gcc, (1 - speech) / self.region.volume, speech / (self.region.volume * mean))
 
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
         position = kinematics.position
         power = self._to_the_exponent(self.power(observation.gcc, position))
-        density = observation.clutter + observation.target * power
+        density = torch.addcmul(observation.clutter, observation.target, power)
         outside = ((position.detach() - self.middle).abs() > self.half_sizes).any(-1)
         return density.log().masked_fill(outside, -torch.inf)
 

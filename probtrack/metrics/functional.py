@@ -11,7 +11,8 @@ from probtrack.geometry import wrap_angle
 
 def position_error(estimate: Tensor, truth: Tensor) -> Tensor:
     r"""Return :math:`\varepsilon_k = \lVert \ell_k - \hat\ell_k \rVert` (...) [m] of positions (..., A) (S1 eq. 6)."""
-    return torch.linalg.vector_norm(estimate - truth, dim=-1)
+    error: Tensor = torch.linalg.vector_norm(estimate - truth, dim=-1)
+    return error
 
 
 def root_mean_square(error: Tensor) -> Tensor:

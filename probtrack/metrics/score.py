@@ -88,7 +88,7 @@ class _Interpolation:
     """Linear interpolation from the times `known` (K,) to `wanted` (T,); NaN outside and in long gaps."""
 
     def __init__(self, known: Tensor, wanted: Tensor) -> None:
-        after = torch.searchsorted(known, wanted).clamp(1, max(1, len(known) - 1))
+        after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp(1, max(1, len(known) - 1))
         self.after = after.clamp_max(len(known) - 1)
         self.before = (after - 1).clamp_min(0)
         gap = known[self.after] - known[self.before]

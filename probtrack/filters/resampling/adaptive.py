@@ -40,10 +40,11 @@ class Adaptive(Resampler):
         return self.resampler.num_uniforms(num_particles)
 
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+        concentration = log_weight.detach().exp().square_().sum(-1)  # 1 / N_eff
         most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")
-        poor = log_weight.detach().exp().square().sum(-1) > most  # N_eff < N_thr
-        if poor.ndim == 0:
-            return self.resampler(state, log_weight, uniforms) if poor.item() else (state, log_weight)
+        if concentration.ndim == 0:
+            return self.resampler(state, log_weight, uniforms) if concentration.item() > most else (state, log_weight)
+        poor = concentration > most
         rows = poor.flatten().nonzero()[:, 0]
         if len(rows) == 0:
             return state, log_weight
