@@ -1,0 +1,1 @@
+"""One short script a question; `python -m experiments.NAME --help` says which."""
