@@ -12,7 +12,8 @@ import torch
 import yaml
 from torch import Tensor
 
-from probtrack.errors import InputError
+from probtrack._checks import check_event, check_int
+from probtrack.errors import InputError, ShapeError
 
 SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius [m/s]."""
@@ -26,7 +27,8 @@ def wrap_angle(angle: Tensor) -> Tensor:
     >>> bool(torch.isclose(wrap_angle(torch.tensor(7.0)), torch.tensor(7.0 - 2 * math.pi)))
     True
     """
-    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+    wrapped = torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+    return torch.where(wrapped < math.pi, wrapped, -math.pi)  # just below -pi, the remainder rounds up to 2 pi
 
 
 def azimuth(position: Tensor, origin: Tensor) -> Tensor:
@@ -99,13 +101,16 @@ class MicrophoneArray:
     def delays(self, points: Tensor, speed_of_sound: float = SPEED_OF_SOUND) -> Tensor:
         """Return the time that sound takes from `points` (..., A) to each microphone, (..., M) [s]."""
         if points.shape[-1] != self.axes:
-            raise InputError(f"points must have shape (..., {self.axes}), got {tuple(points.shape)}")
+            raise ShapeError(f"points must have shape (..., {self.axes}), got {tuple(points.shape)}")
         positions = self.positions.to(points)
         distances: Tensor = torch.linalg.vector_norm(points[..., None, :] - positions, dim=-1)
         return distances / speed_of_sound
 
     def select(self, channels: Sequence[int]) -> "MicrophoneArray":
         """Return the array of the microphones `channels` (0-based) in that order."""
+        absent = [c for c in channels if not 0 <= c < self.num_microphones]
+        if absent:
+            raise InputError(f"{self.name}: no microphone {absent[0] + 1}: there are {self.num_microphones}")
         return MicrophoneArray(self.positions[list(channels)], self.name)
 
     @classmethod
@@ -123,8 +128,9 @@ class MicrophoneArray:
         """Write the array, and the region it listens to if given, as YAML that `from_yaml` reads back."""
         content: dict[str, Any] = {"name": self.name, "positions": _decimal(self.positions)}
         if region is not None:
-            content["region"] = {"low": list(region.low), "high": list(region.high)}
-        Path(path).write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
+            low, high = _decimal(torch.tensor([region.low, region.high], dtype=torch.float64))
+            content["region"] = {"low": low, "high": high}
+        Path(path).write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -161,6 +167,7 @@ class Region:
 
     def contains(self, points: Tensor) -> Tensor:
         """Return whether each of `points` (..., A) lies inside or on the border, (...) bool."""
+        check_event(points, (self.axes,), "points")
         inside = (points >= points.new_tensor(self.low)) & (points <= points.new_tensor(self.high))
         return inside.all(-1)
 
@@ -175,7 +182,7 @@ class Region:
         Every point stands for the same share of the region, so that a mean over them is a mean over it.
         """
         sizes = [high - low for low, high in zip(self.low, self.high, strict=True)]
-        cell = (self.volume / num_points) ** (1 / self.axes)
+        cell = (self.volume / check_int(num_points, "num_points", low=1)) ** (1 / self.axes)
         steps = [max(1, round(size / cell)) for size in sizes]
         ticks = [(torch.arange(n) + 0.5) / n for n in steps]
         return self.from_unit(torch.stack(torch.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, self.axes))
@@ -197,7 +204,7 @@ class Region:
         if content is None:
             return None
         try:
-            return cls(tuple(map(float, content["low"])), tuple(map(float, content["high"])))
+            return cls(_numbers(content["low"]), _numbers(content["high"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: region must be {{low: [x, y, z], high: [x, y, z]}}: {error}") from None
 
@@ -208,6 +215,12 @@ def shipped_arrays() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
+def _numbers(values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list):  # the text "12" is not the numbers 1 and 2
+        raise TypeError(f"{values!r} is not a list")
+    return tuple(map(float, values))
+
+
 def _decimal(positions: Tensor) -> list[list[float]]:
     """Return positions as decimals of a micrometre, so that float32 does not print its binary tail."""
     return [[round(value, 6) for value in row] for row in positions.tolist()]
@@ -215,10 +228,10 @@ def _decimal(positions: Tensor) -> list[list[float]]:
 
 def _read_yaml(path: str | Path, what: str) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(Path(path).read_text())
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read {what}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or a date that cannot be
         raise InputError(f"{path}: {what} is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: {what} must be a YAML mapping, got {type(content).__name__}")
@@ -227,14 +240,15 @@ def _read_yaml(path: str | Path, what: str) -> dict[str, Any]:
 
 def _checked_positions(positions: Tensor | Sequence[Sequence[float]], name: str) -> Tensor:
     try:
-        x = torch.as_tensor(positions, dtype=torch.get_default_dtype())
-    except (TypeError, ValueError, RuntimeError):
+        x = torch.as_tensor(positions, dtype=torch.get_default_dtype()).detach().clone()
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         raise InputError(f"{name}: positions must be a list of [x, y] or [x, y, z] numbers") from None
     if x.ndim != 2 or x.shape[0] < 2 or x.shape[1] not in (2, 3):
         raise InputError(f"{name}: positions must have shape (M, 2) or (M, 3) with M >= 2, got {tuple(x.shape)}")
     if not x.isfinite().all():
         raise InputError(f"{name}: positions must be finite")
-    distances = torch.cdist(x, x).fill_diagonal_(math.inf)
+    # not by matrix products, which lose a close pair far from the origin
+    distances = torch.cdist(x, x, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(math.inf)
     if distances.min() < 1e-4:
         first, second = divmod(int(distances.argmin()), x.shape[0])
         raise InputError(f"{name}: microphones {first + 1} and {second + 1} have the same position")
