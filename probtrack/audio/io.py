@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torchaudio.transforms import Resample
 
+from probtrack._checks import check_int
 from probtrack.errors import InputError, NotFiniteError
 
 _FULL_SCALE = 0.9999  # of the format's largest value: at or beyond it a sample counts as clipped
@@ -70,13 +71,17 @@ class Recording:
             raise InputError(f"{path}: cannot read the recording: {error.strerror}") from None
         except soundfile.LibsndfileError as error:
             raise InputError(f"{path}: not a sound file that can be read: {error.error_string}") from None
+        except TypeError:  # soundfile asks for the rate and channels of a file named .raw
+            raise InputError(f"{path}: raw samples without a header cannot be read: convert them to WAV") from None
         if info.frames == 0:
             raise InputError(f"{path}: the recording is empty (0 samples)")
         picked = tuple(range(info.channels)) if channels is None else tuple(channels)
         absent = [c + 1 for c in picked if not 0 <= c < info.channels]
         if absent:
             raise InputError(f"{path}: no channel {absent[0]}: the file has {info.channels}")
-        return cls(path, info.samplerate, info.frames, picked, fs)
+        if not picked:
+            raise InputError(f"{path}: no channel is picked")
+        return cls(path, info.samplerate, info.frames, picked, check_int(fs, "fs", low=1))
 
     @property
     def duration(self) -> float:
@@ -98,7 +103,7 @@ class Recording:
         high, clipped, start = -low, torch.zeros_like(low), 0
         for block in self._raw_blocks(self.file_rate):
             if not block.isfinite().all():
-                channel, sample = (~block.isfinite()).nonzero()[0].tolist()
+                sample, channel = (~block.isfinite()).t().nonzero()[0].tolist()
                 raise NotFiniteError(
                     f"{self.path}: channel {self.channels[channel] + 1} has a NaN or infinite sample at "
                     f"{(start + sample) / self.file_rate:.3f} s"
@@ -121,13 +126,23 @@ class Recording:
         return torch.cat(list(self.blocks(10.0)), 1)
 
     def _raw_blocks(self, length: int) -> Iterator[Tensor]:
+        done = 0
         try:
             with soundfile.SoundFile(str(self.path)) as file:
-                for block in file.blocks(length, dtype="float32", always_2d=True):
-                    # soundfile hands out views of one buffer: the copy makes them ours
+                while done < self.num_samples:
+                    # not file.blocks: where a file ends early, it repeats old samples
+                    block = file.read(min(length, self.num_samples - done), dtype="float32", always_2d=True)
+                    if len(block) == 0:
+                        break
+                    done += len(block)
                     yield torch.from_numpy(block.T[list(self.channels)].copy())
         except (OSError, soundfile.LibsndfileError) as error:
             raise InputError(f"{self.path}: reading failed part-way: {error}") from None
+        if done < self.num_samples:
+            raise InputError(
+                f"{self.path}: the recording ends after {done / self.file_rate:.3f} s of the {self.duration:.3f} s "
+                "that its header promises"
+            )
 
 
 def resampled(blocks: Iterator[Tensor], rate: int, fs: int) -> Iterator[Tensor]:
