@@ -1,5 +1,6 @@
 """Overlapping frames of a multichannel signal and their spectra."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -55,4 +56,19 @@ class ShortTimeSpectrum(nn.Module):
             frames = samples.new_zeros((0, *samples.shape[:-1], self.frame_length))
         else:
             frames = samples.unfold(-1, self.frame_length, self.hop).movedim(-2, 0)
-        return Frames(frames, torch.fft.rfft(frames * self.window))
+        windowed = frames * self.window
+        if windowed.numel() == 0:  # which some FFT libraries refuse
+            bins = self.frame_length // 2 + 1
+            return Frames(frames, windowed.new_zeros((*frames.shape[:-1], bins), dtype=windowed.dtype.to_complex()))
+        return Frames(frames, torch.fft.rfft(windowed))
+
+
+def band_bins(band: tuple[float, float], fs: int, frame_length: int) -> tuple[int, int]:
+    """Return the first and last frequency bin inside `band` [Hz]."""
+    low, high = band
+    if not 0 <= low < high <= fs / 2:
+        raise InputError(f"band must satisfy 0 <= low < high <= fs / 2 = {fs / 2:g} Hz, got {low:g} to {high:g}")
+    first, last = math.ceil(low * frame_length / fs), math.floor(high * frame_length / fs)
+    if last < first:
+        raise InputError(f"band from {low:g} to {high:g} Hz holds no bin of {fs / frame_length:g} Hz spacing")
+    return first, last

@@ -5,8 +5,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from probtrack._checks import as_positive, check_int
-from probtrack.errors import InputError
+from probtrack._checks import as_positive, check_event, check_int
+from probtrack.audio.frames import band_bins
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray
 
 _SMALLEST_POWER = 1e-24  # keeps the weighting of digital silence finite; far below 24-bit noise
@@ -66,8 +66,8 @@ class GeneralisedCrossCorrelation(nn.Module):
         super().__init__()
         check_int(oversampling, "oversampling", low=1)
         as_positive(speed_of_sound, "speed_of_sound")
-        self.low_bin, self.high_bin = _bins(band, fs, frame_length)
-        self.num_microphones = array.num_microphones
+        self.low_bin, self.high_bin = band_bins(band, fs, frame_length)
+        self.num_microphones, self.num_bins = array.num_microphones, frame_length // 2 + 1
         self.lag_rate = fs * oversampling
         # one lag beyond the largest delay, so that a look-up at the very end still has a neighbour
         reach = math.ceil(array.diameter / speed_of_sound * self.lag_rate) + 1
@@ -83,6 +83,7 @@ class GeneralisedCrossCorrelation(nn.Module):
         self.whitening = nn.Parameter(torch.tensor(1.0))
 
     def forward(self, spectrum: Tensor) -> Tensor:
+        check_event(spectrum, (self.num_microphones, self.num_bins), "spectrum")
         band = spectrum[..., self.low_bin : self.high_bin + 1]
         # real and imaginary parts apart: complex products and their strided views cost twice as much
         real, imag = band.real, band.imag
@@ -90,20 +91,11 @@ class GeneralisedCrossCorrelation(nn.Module):
         scale = (power + _SMALLEST_POWER).pow(-self.whitening / 2)
         real, imag = real * scale, imag * scale
         frequency_weight = self.log_weight.exp()
-        total = (frequency_weight * power * scale.square()).sum((-1, -2)).clamp_min(_SMALLEST_POWER)
+        # the scale of a silent microphone is huge: its square may be more than a float can hold
+        total = (frequency_weight * power * scale * scale).sum((-1, -2)).clamp_min(_SMALLEST_POWER)
         weight = 2 * frequency_weight / (total[..., None, None] * self.num_microphones)
         real_1, imag_1 = (x.index_select(-2, self.first) * weight for x in (real, imag))
         real_2, imag_2 = (x.index_select(-2, self.second) for x in (real, imag))
         in_phase = torch.addcmul(real_1 * real_2, imag_1, imag_2)
         quadrature = torch.addcmul(real_1 * imag_2, imag_1, real_2, value=-1)
         return torch.cat([in_phase, quadrature], -1) @ self.waves
-
-
-def _bins(band: tuple[float, float], fs: int, frame_length: int) -> tuple[int, int]:
-    low, high = band
-    if not 0 <= low < high <= fs / 2:
-        raise InputError(f"band must satisfy 0 <= low < high <= fs / 2 = {fs / 2:g} Hz, got {low:g} to {high:g}")
-    first, last = math.ceil(low * frame_length / fs), math.floor(high * frame_length / fs)
-    if last < first:
-        raise InputError(f"band from {low:g} to {high:g} Hz holds no bin of {fs / frame_length:g} Hz spacing")
-    return first, last

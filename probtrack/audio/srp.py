@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import grid_sample, pad
 
-from probtrack._checks import as_positive
+from probtrack._checks import as_positive, check_int
 from probtrack.errors import InputError, ShapeError
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray
 
@@ -50,7 +50,8 @@ class SteeredResponsePower(nn.Module):
     ) -> None:
         super().__init__()
         as_positive(speed_of_sound, "speed_of_sound")
-        self.num_lags, self.num_pairs = num_lags, len(array.pairs)
+        as_positive(lag_rate, "lag_rate")
+        self.num_lags, self.num_pairs = check_int(num_lags, "num_lags", low=2), len(array.pairs)
         self.num_microphones = array.num_microphones
         if height is None:
             height = float(array.centre[2]) if array.axes == 3 else 0.0
@@ -81,7 +82,7 @@ class SteeredResponsePower(nn.Module):
     def at(self, points: Tensor) -> "FixedSteeredResponsePower":
         """Return the steered power at `points` (G, A) that stay the same from frame to frame."""
         lag, row = self._table_coordinates(points).unbind(-1)
-        lags = ((lag + 1) / 2 * (self.num_lags - 1)).round()
+        lags = ((lag.clamp(-1, 1) + 1) / 2 * (self.num_lags - 1)).round()
         rows = ((row + 1) / 2 * (self.num_pairs - 1)).round()
         entries = (rows * self.num_lags + lags).long().t()
         return FixedSteeredResponsePower(entries, num_microphones=self.num_microphones)
@@ -130,7 +131,7 @@ class FixedSteeredResponsePower(nn.Module):
     def forward(self, gcc: Tensor) -> Tensor:
         values = gcc.reshape(-1, gcc.shape[-2] * gcc.shape[-1]).index_select(1, self.entries.flatten())
         power = values.view(-1, *self.entries.shape).sum(1) + 1 / self.num_microphones
-        return power.view(*gcc.shape[:-2], -1)
+        return power.view(*gcc.shape[:-2], self.entries.shape[1])
 
 
 def _aligned(gcc: Tensor, grid: Tensor) -> tuple[Tensor, Tensor, tuple[int, ...]]:
