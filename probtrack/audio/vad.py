@@ -1,6 +1,8 @@
 """Soft voice activity: the probability, frame by frame, that somebody speaks."""
 
 import abc
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -8,8 +10,10 @@ from torch import Tensor, nn
 from torch.nn.functional import max_pool1d
 
 from probtrack._checks import as_positive, check_int
-from probtrack.audio.frames import Frames
+from probtrack.audio.frames import Frames, band_bins
 from probtrack.errors import InputError
+
+_EDGE = 16  # samples: so many zeros of every microphone at the end of a frame are silence, not faint noise
 
 
 class VoiceActivity(nn.Module, abc.ABC):
@@ -46,8 +50,8 @@ class EnergyVoiceActivity(VoiceActivity):
 
     The average of e runs over microphones and the bins of the band. The floor is the smallest smoothed level
     of the last W frames: it follows falling noise at once and rising noise after the window. Averaging
-    decibels rather than powers keeps a click of one or two frames below the threshold. Frames of digital
-    silence have alpha = 0 and do not enter the floor.
+    decibels rather than powers keeps a click of one or two frames below the threshold. Frames that are digital
+    silence, or begin or end in it, have alpha = 0 and do not enter the floor, nor do the J - 1 after them.
 
     S1 uses a detector but gives no formula (section 2.1); this one is our choice. Nothing depends on the
     absolute level. A recording that starts in the middle of a word hears it only after the first gap.
@@ -87,16 +91,19 @@ class EnergyVoiceActivity(VoiceActivity):
         as_positive(memory, "memory")
         self.smoothing = check_int(smoothing, "smoothing", low=1)
         self.window = max(2, round(memory * fs / hop))
-        self.low_bin = max(1, round(band[0] * frame_length / fs))
-        self.high_bin = min(frame_length // 2, round(band[1] * frame_length / fs))
+        self.low_bin, self.high_bin = (max(1, edge) for edge in band_bins(band, fs, frame_length))  # without DC
+        if not math.isfinite(threshold):
+            raise InputError(f"threshold must be finite, got {threshold}")
         self.threshold = nn.Parameter(torch.tensor(float(threshold)))
         self.log_slope = nn.Parameter(as_positive(slope, "slope").log())
 
     def forward(self, frames: Frames, state: EnergyState | None = None) -> tuple[Tensor, EnergyState | None]:
         band = frames.spectrum[..., self.low_bin : self.high_bin + 1]
-        level = 10 * (band.real.square() + band.imag.square()).mean((-1, -2)).log10()  # (T, *batch)
-        if len(level) == 0:
-            return level, state
+        power = (band.real.square() + band.imag.square()).mean((-1, -2))  # (T, *batch)
+        if len(power) == 0:
+            return power, state
+        nothing = (power == 0) | begins_or_ends_silent(frames.samples)
+        level = 10 * power.masked_fill(nothing, 1.0).log10().masked_fill(nothing, -torch.inf)
         if state is None:
             before = level[:1].expand(self.smoothing - 1, *level.shape[1:])
             state = EnergyState(before, level.new_full((self.window - 1, *level.shape[1:]), torch.inf))
@@ -177,6 +184,11 @@ class SileroVoiceActivity(VoiceActivity):
         pending = stream[:, whole * self.CHUNK :]
         return speech.reshape(num_frames, *batch), SileroState(pending, context, memory, results[-1])
 
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "SileroVoiceActivity":
+        super()._apply(fn, recurse)
+        self.network.float()  # it moves with the module to a device, but works in float32 alone
+        return self
+
     def _hear(self, chunk: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         with torch.no_grad():
             speech, memory = self.network(chunk.float(), memory)
@@ -199,6 +211,16 @@ def running_minimum(x: Tensor, count: int) -> Tensor:
     """Return the minimum of `count` neighbours along the first axis, (T - count + 1, ...)."""
     columns = x.reshape(len(x), -1).t()
     return -max_pool1d(-columns[:, None], count, stride=1)[:, 0].t().reshape(-1, *x.shape[1:])
+
+
+def begins_or_ends_silent(samples: Tensor) -> Tensor:
+    """Return whether all microphones are at 0 where a frame begins or ends, of samples (T, *batch, M, L): (T, *batch).
+
+    Such a frame is cut by digital silence. Its level may be any, so that it says nothing of the noise floor.
+    """
+    edges = samples[..., :_EDGE], samples[..., -_EDGE:]
+    first, last = (edge.abs().amax((-1, -2)) for edge in edges)
+    return torch.minimum(first, last) == 0
 
 
 def _silent(fresh: Tensor) -> SileroState:
