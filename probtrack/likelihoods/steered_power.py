@@ -96,8 +96,8 @@ class SteeredPowerLikelihood(Likelihood):
         position = kinematics.position
         power = self._to_the_exponent(self.power(observation.gcc, position))
         density = torch.addcmul(observation.clutter, observation.target, power)
-        outside = ((position.detach() - self.middle).abs() > self.half_sizes).any(-1)
-        return density.log().masked_fill(outside, -torch.inf)
+        inside = ((position.detach() - self.middle).abs() <= self.half_sizes).all(-1)  # not so for NaN
+        return torch.where(inside, density.log(), -torch.inf)
 
     def _to_the_exponent(self, power: Tensor) -> Tensor:
         return power.clamp_min(_SMALLEST_POWER).pow(self.log_exponent.exp())
