@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from probtrack._checks import check_event, check_int
 from probtrack.dynamics import Dynamics, Kinematics, Transition
-from probtrack.errors import InputError, NotFiniteError
+from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.filters.cloud import Clouds, summary
 from probtrack.filters.noise import NoiseStream
 from probtrack.filters.resampling import Adaptive, Resampler, systematic
@@ -117,11 +117,13 @@ class ParticleFilter(nn.Module):
 
         Raises:
             InputError: for a time step that is not positive, or no frame.
-            NotFiniteError: if a likelihood is NaN.
+            ShapeError: for a belief of other sizes than the filter's or the noise's.
+            NotFiniteError: if a likelihood is NaN or infinite.
         """
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
             raise InputError(f"dt must be a positive number of seconds, got {dt}")
         check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
+        _check_batch(belief, noise.batch)
         prepared = list(_frames(self.likelihood.prepare(observations)))
         if not prepared:
             raise InputError("observations hold no frame")
@@ -153,7 +155,7 @@ class ParticleFilter(nn.Module):
             before, log_weight, lost = log_weight, torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
             if math.isnan(log_weight[..., 0].sum().item()):
-                log_weight, lost = _kept(joint, before, log_weight)
+                joint, log_weight, lost = _kept(joint, before)
             clouds.state.append(state)
             clouds.log_weight.append(log_weight)
             clouds.joint.append(joint)
@@ -162,12 +164,23 @@ class ParticleFilter(nn.Module):
         return state, log_weight, clouds
 
 
-def _kept(joint: Tensor, before: Tensor, log_weight: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weights with those `before` where no particle was possible, and where that is."""
-    if joint.isnan().any():
-        raise NotFiniteError("the likelihood of a frame is NaN: an observation or a parameter is not finite")
+def _kept(joint: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return both weights of a frame with those `before` where no particle was possible, and where that is."""
+    if not (joint < torch.inf).all():
+        raise NotFiniteError("a likelihood is NaN or infinite: an observation or a parameter is not finite")
     lost = joint.isneginf().all(-1)
-    return torch.where(lost[..., None], before, log_weight), lost
+    # taken out before the softmax: its gradient at a row of -inf is NaN even where nothing asks for it
+    joint = torch.where(lost[..., None], before, joint)
+    return joint, torch.where(lost[..., None], before, torch.log_softmax(joint, -1)), lost
+
+
+def _check_batch(belief: Belief, batch: tuple[int, ...]) -> None:
+    if belief.state.shape[:-2] != batch:
+        raise ShapeError(f"noise must have the belief's batch {tuple(belief.state.shape[:-2])}, its seeds have {batch}")
+    if belief.log_weight.shape != belief.state.shape[:-1]:
+        raise ShapeError(
+            f"log_weight must have shape {tuple(belief.state.shape[:-1])}, got {tuple(belief.log_weight.shape)}"
+        )
 
 
 def _frames(observations: Any) -> Iterator[Any]:
