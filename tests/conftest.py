@@ -3,6 +3,7 @@ import pathlib
 
 import pytest
 import torch
+from scenes import scene as scene
 
 
 @pytest.fixture(autouse=True)

@@ -3,6 +3,7 @@
 import inspect
 import re
 import sys
+from argparse import ArgumentError
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -47,12 +48,18 @@ def parsed(by: ArgumentParser, argv: Sequence[str]) -> Namespace:
     """Parse `argv`; `InputError` says in one line what is wrong with it."""
     try:
         return by.parse_args(_joined(argv))
-    except Exception as error:  # jsonargparse raises its own, argparse's and YAML's errors
-        if type(error).__name__ not in ("ArgumentError", "ParserError") and not isinstance(
-            error, (ValueError, OSError)
-        ):
-            raise
-        raise InputError(_first_line(str(error))) from None
+    except (ArgumentError, ValueError, OSError) as error:
+        raise InputError(_plain(str(error))) from None
+
+
+def _plain(message: str) -> str:
+    """Say an error of jsonargparse as its flag, what it wants and what it got, in one line."""
+    line = " ".join(message.split())
+    line = re.sub(r'Parser key "(\w+)":', lambda key: f"--{key[1].replace('_', '-')}:", line)
+    line = re.sub(r"Does not validate .* Given value: (.*)", r"expected a number, got \1", line)
+    line = re.sub(r"Expected a typing.Literal\[(.*?)\]\. Got value: (.*)", r"expected one of \1, got '\2'", line)
+    line = re.sub(r"Expected a <class '(\w+)'>\. Got value: (.*)", r"expected \1, got \2", line)
+    return re.sub(r"^Problems parsing config:", "--config: not YAML:", line)
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
@@ -64,10 +71,6 @@ def _joined(argv: Sequence[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
-
-
-def _first_line(message: str) -> str:
-    return " ".join(line.strip() for line in message.splitlines() if line.strip())
 
 
 def warn(command: str, message: str) -> None:
