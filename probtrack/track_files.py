@@ -29,6 +29,8 @@ SUFFIXES = (".csv", ".jsonl", ".parquet")
 
 Row = dict[str, float | None]
 
+_WHOLE = ("track", "lost")  # columns of integers
+
 
 @dataclass(frozen=True)
 class TrackTable:
@@ -65,14 +67,15 @@ def read_track(path: str | Path) -> TrackTable:
 
     Raises:
         InputError: for a file that cannot be read, has no `time`, no position and no azimuth, cells that are not
-            numbers, times that do not increase, no rows, or more than one track.
+            numbers, a column twice, times that do not increase, no rows, or more than one track.
     """
     path = Path(path)
     kind = _kind(path)
     try:
         columns = _READERS[kind](path)
     except OSError as error:
-        raise InputError(f"{path}: cannot read the track file: {error.strerror or error}") from None
+        what = " ".join((error.strerror or str(error)).split())
+        raise InputError(f"{path}: cannot read the track file: {what}") from None
     if "time" not in columns:
         raise InputError(f"{path}: a track file needs a column 'time', got {', '.join(columns) or 'no columns'}")
     if "azimuth" not in columns and not {"x", "y"} <= columns.keys():
@@ -81,7 +84,7 @@ def read_track(path: str | Path) -> TrackTable:
         raise InputError(f"{path}: the track file has no rows")
     if not columns["time"].isfinite().all():
         raise InputError(f"{path}: every row needs a time")
-    names = columns.get("track", torch.zeros(1)).unique().tolist()
+    names = [name for name in columns.get("track", torch.zeros(1)).unique().tolist() if not math.isnan(name)]
     if len(names) > 1:
         raise InputError(f"{path}: holds tracks {', '.join(f'{name:g}' for name in names)}, expected one")
     if not (columns["time"].diff() > 0).all():
@@ -120,6 +123,7 @@ def check_track_output(path: str | Path) -> None:
 class TrackWriter(abc.ABC):
     """Writes rows as they come; what was written before an interruption is a valid file.
 
+    A Parquet file is valid once it is closed, as the end of a `with` does even on an error.
     `TrackWriter.open(path)` picks the kind by the suffix; '-' writes CSV to standard output.
     """
 
@@ -180,22 +184,27 @@ class _ParquetWriter(TrackWriter):
     def write(self, rows: Sequence[Row]) -> None:
         if not rows:
             return
-        table = self._pyarrow.Table.from_pylist([{k: _cell(k, v) for k, v in row.items()} for row in rows])
-        if self._writer is None:
-            self._writer = self._pyarrow.parquet.ParquetWriter(self._file, table.schema)
-        self._writer.write_table(table.cast(self._writer.schema))
+        writer = self._started(rows[0])
+        cells = [{name: _cell(name, value) for name, value in row.items()} for row in rows]
+        writer.write_table(self._pyarrow.Table.from_pylist(cells, schema=writer.schema))
 
     def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        self._started(COLUMNS).close()
         self._file.close()
+
+    def _started(self, names: Iterable[str]) -> Any:
+        # types by name and not by the first rows, in which a column may be empty throughout
+        if self._writer is None:
+            fields = [(n, self._pyarrow.int64() if n in _WHOLE else self._pyarrow.float64()) for n in names]
+            self._writer = self._pyarrow.parquet.ParquetWriter(self._file, self._pyarrow.schema(fields))
+        return self._writer
 
 
 def _csv_lines(rows: Sequence[Row], first: bool) -> Iterator[str]:
     if first and rows:
         yield ",".join(rows[0]) + "\n"
     for row in rows:
-        yield ",".join("" if (cell := _cell(*item)) is None else f"{cell:.9g}" for item in row.items()) + "\n"
+        yield ",".join("" if (cell := _cell(*item)) is None else f"{cell:.15g}" for item in row.items()) + "\n"
 
 
 def _json_lines(rows: Sequence[Row], first: bool) -> Iterator[str]:  # noqa: ARG001
@@ -205,9 +214,9 @@ def _json_lines(rows: Sequence[Row], first: bool) -> Iterator[str]:  # noqa: ARG
 
 def _cell(name: str, value: float | None) -> float | None:
     """Return a value as files hold it: integers where the column has them, rounded to a microsecond or micrometre."""
-    if value is None or math.isnan(value):
+    if value is None or not math.isfinite(value):
         return None
-    return int(value) if name in ("track", "lost") else round(value, 6)
+    return int(value) if name in _WHOLE else round(value, 6)
 
 
 def _kind(path: Path) -> str:
@@ -215,7 +224,7 @@ def _kind(path: Path) -> str:
 
 
 def _read_csv(path: Path) -> dict[str, Tensor]:
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first name
         try:
             lines = list(csv.reader(file))
         except (csv.Error, UnicodeDecodeError) as error:
@@ -226,12 +235,16 @@ def _read_csv(path: Path) -> dict[str, Tensor]:
 
 def _read_jsonl(path: Path) -> dict[str, Tensor]:
     rows, names = [], dict.fromkeys(COLUMNS)
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a JSON lines file: {error}") from None
+    for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
             row = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             row = None
         if not isinstance(row, dict):
             raise InputError(f"{path}:{number}: expected a JSON object a line")
@@ -243,8 +256,9 @@ def _read_jsonl(path: Path) -> dict[str, Tensor]:
 def _read_parquet(path: Path) -> dict[str, Tensor]:
     pyarrow = _pyarrow()
     try:
-        table = pyarrow.parquet.read_table(path)
-    except pyarrow.ArrowInvalid as error:
+        with path.open("rb") as file:
+            table = pyarrow.parquet.read_table(file)
+    except pyarrow.ArrowException as error:
         raise InputError(f"{path}: not a Parquet file: {' '.join(str(error).split())}") from None
     rows = zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True)
     return _columns(path, table.column_names, enumerate(rows, 1))
@@ -253,13 +267,17 @@ def _read_parquet(path: Path) -> dict[str, Tensor]:
 def _columns(path: Path, header: Sequence[str], rows: Iterable[tuple[int, Sequence[Any]]]) -> dict[str, Tensor]:
     """Return the known columns of `rows`, (line number, cells) each."""
     picked = [(i, name.strip()) for i, name in enumerate(header) if name.strip() in COLUMNS]
+    names = [name for _, name in picked]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{path}: has the column {twice} more than once")
     values = []
     for number, row in rows:
         if len(row) != len(header):
             raise InputError(f"{path}:{number}: {len(row)} cells under {len(header)} column names")
         try:
             values.append([math.nan if row[i] in (None, "") else float(row[i]) for i, _ in picked])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             bad = next(name for i, name in picked if row[i] not in (None, "") and not _is_number(row[i]))
             raise InputError(f"{path}:{number}: column {bad} holds something that is not a number") from None
     table = torch.tensor(values, dtype=torch.float64).reshape(len(values), len(picked))
@@ -269,7 +287,7 @@ def _columns(path: Path, header: Sequence[str], rows: Iterable[tuple[int, Sequen
 def _is_number(cell: Any) -> bool:
     try:
         float(cell)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
     return True
 
