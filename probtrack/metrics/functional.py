@@ -5,8 +5,8 @@ import math
 import torch
 from torch import Tensor
 
+from probtrack._checks import as_positive
 from probtrack.errors import InputError
-from probtrack.geometry import wrap_angle
 
 
 def position_error(estimate: Tensor, truth: Tensor) -> Tensor:
@@ -31,11 +31,22 @@ def final_error(error: Tensor, dt: float, *, window: float = 0.5) -> Tensor:
     References:
         S1 eq. (8), left side, which sums k* + 1 terms and divides by k* - 1: here the mean of k* frames.
     """
-    # a hair less, so that 0.5 s of frames of 0.1 s are 5 and not 6 by rounding
-    frames = math.ceil(window / dt * (1 - 1e-9))
+    frames = frames_within(window, dt)
     if len(error) < frames:
         raise InputError(f"track loss looks at the last {frames} frames ({window:g} s), got {len(error)}")
     return error[-frames:].mean(0)
+
+
+def frames_within(window: float, dt: float) -> int:
+    r"""Return :math:`\lceil w / T \rceil`, how many frames of `dt` [s] it takes to fill `window` [s].
+
+    >>> frames_within(0.5, 0.1), frames_within(0.5, 0.016)
+    (5, 32)
+    """
+    as_positive(dt, "dt")
+    as_positive(window, "window")
+    # a hair less, so that 0.5 s of frames of 0.1 s are 5 and not 6 by rounding
+    return math.ceil(window / dt * (1 - 1e-9))
 
 
 def track_lost(error: Tensor, dt: float, *, threshold: float = 0.1, window: float = 0.5) -> Tensor:
@@ -57,4 +68,5 @@ def track_lost(error: Tensor, dt: float, *, threshold: float = 0.1, window: floa
 
 def azimuth_error(estimate: Tensor, truth: Tensor) -> Tensor:
     """Return the angle between azimuths (...), the short way round, in [0, pi] [rad]."""
-    return wrap_angle(estimate - truth).abs()
+    difference = estimate - truth
+    return torch.atan2(difference.sin(), difference.cos()).abs()  # NaN where either is

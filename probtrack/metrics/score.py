@@ -1,15 +1,26 @@
 """The score of one track file against the truth."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 
 from probtrack.errors import InputError
-from probtrack.metrics.functional import azimuth_error, final_error, position_error, root_mean_square, track_lost
+from probtrack.metrics.functional import (
+    azimuth_error,
+    final_error,
+    frames_within,
+    position_error,
+    root_mean_square,
+    track_lost,
+)
 from probtrack.track_files import TrackTable
 
 _LONGEST_GAP = 1.0  # s between two rows of the truth over which it is interpolated
+_TIME_ROUNDING = 1.01e-6  # s by which two times that files round to a microsecond may differ
+
+_Figures = Callable[[Tensor, Tensor], dict[str, float | bool]]
 
 
 @dataclass(frozen=True)
@@ -17,8 +28,9 @@ class Score:
     """Figures of one track; None where the files do not have what a figure needs.
 
     Attributes:
-        frames: Frames that have a truth.
-        missing: How many of them the track says nothing of; they enter no other figure.
+        frames: Frames that have a truth, of position or azimuth.
+        missing: How many of them have no estimate of the position, or of the azimuth if those are more; they
+            enter no other figure.
         rmse: Root mean square position error [m] (S1 eq. 7).
         final_error: Mean position error over the last 0.5 s [m], if there is that much.
         lost: Whether that is above 0.1 m (S1 eq. 8).
@@ -50,51 +62,65 @@ def score(truth: TrackTable, track: TrackTable) -> Score:
     at = _Interpolation(truth.time, track.time)
     figures: dict[str, float | bool] = {}
     frames, missing = 0, 0
+    for error, covered, figures_of in _errors(truth, track, at):
+        known = error.isfinite()
+        frames = max(frames, int(covered.sum()))
+        missing = max(missing, int((covered & ~known).sum()))
+        if known.any():
+            figures |= figures_of(error[known], track.time)
+    if not figures:
+        raise InputError(f"{track.path}: no frame has an estimate at a time that the truth {truth.path} covers")
+    return Score(frames, missing, **figures)  # type: ignore[arg-type]
+
+
+def _errors(truth: TrackTable, track: TrackTable, at: "_Interpolation") -> Iterator[tuple[Tensor, Tensor, _Figures]]:
+    """Yield the errors (T,) that both tables allow, where there is a truth, and what makes figures of them."""
+    true_azimuth, azimuth = truth.get("azimuth"), track.get("azimuth")
+    have_positions = truth.position is not None and track.position is not None
+    if not have_positions and (true_azimuth is None or azimuth is None):
+        raise InputError(f"{truth.path} and {track.path} share neither positions (x, y) nor azimuths")
     if truth.position is not None and track.position is not None:
         axes = min(truth.position.shape[1], track.position.shape[1])
-        error = position_error(track.position[:, :axes], at(truth.position[:, :axes]))
-        present, frames, missing = _present(error, at(truth.position[:, :axes])[:, 0], track)
-        figures |= _position_figures(present, track.time)
-    true_azimuth, azimuth = truth.get("azimuth"), track.get("azimuth")
+        place = at(truth.position[:, :axes])
+        yield position_error(track.position[:, :axes], place), place.isfinite().all(-1), _position_figures
     if true_azimuth is not None and azimuth is not None:
         direction = at(torch.stack([true_azimuth.cos(), true_azimuth.sin()], -1))
-        error = azimuth_error(azimuth, torch.atan2(direction[:, 1], direction[:, 0]))
-        present, frames, missing = _present(error, direction[:, 0], track)
-        figures["azimuth_rmse"] = float(root_mean_square(present))
-        figures["azimuth_median"], figures["azimuth_max"] = float(present.median()), float(present.max())
-    if not figures:
-        raise InputError(f"{truth.path} and {track.path} share neither positions (x, y) nor azimuths")
-    return Score(frames, missing, **figures)  # type: ignore[arg-type]
+        angle = torch.atan2(direction[:, 1], direction[:, 0])
+        yield azimuth_error(azimuth, angle), angle.isfinite(), _azimuth_figures
 
 
 def _position_figures(error: Tensor, time: Tensor) -> dict[str, float | bool]:
     figures: dict[str, float | bool] = {"rmse": float(root_mean_square(error))}
-    dt = float(time.diff().median()) if len(time) > 1 else 1.0
-    if len(error) * dt > 0.5:
+    # files round times to a microsecond: a hair more, so that 0.5 s of frames of 1/30 s are 15 and not 16
+    dt = float(time.diff().median()) + 2 * _TIME_ROUNDING if len(time) > 1 else 0.0
+    if dt > 0 and len(error) >= frames_within(0.5, dt):
         figures["final_error"], figures["lost"] = float(final_error(error, dt)), bool(track_lost(error, dt))
     return figures
 
 
-def _present(error: Tensor, truth: Tensor, track: TrackTable) -> tuple[Tensor, int, int]:
-    """Return the errors that are known, how many frames have a truth, and how many of those no estimate."""
-    known = error.isfinite()
-    frames = int(truth.isfinite().sum())
-    if not known.any():
-        raise InputError(f"{track.path}: no frame has an estimate at a time that the truth covers")
-    return error[known], frames, frames - int(known.sum())
+def _azimuth_figures(error: Tensor, _: Tensor) -> dict[str, float | bool]:
+    return {
+        "azimuth_rmse": float(root_mean_square(error)),
+        "azimuth_median": float(error.quantile(0.5)),
+        "azimuth_max": float(error.max()),
+    }
 
 
 class _Interpolation:
     """Linear interpolation from the times `known` (K,) to `wanted` (T,); NaN outside and in long gaps."""
 
     def __init__(self, known: Tensor, wanted: Tensor) -> None:
-        after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp(1, max(1, len(known) - 1))
-        self.after = after.clamp_max(len(known) - 1)
-        self.before = (after - 1).clamp_min(0)
+        last = len(known) - 1
+        after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp_max(last)
+        before = (after - 1).clamp_min(0)
+        # a row at the very time is the truth, whatever its neighbours
+        after = torch.where((wanted - known[before]).abs() <= _TIME_ROUNDING, before, after)
+        self.before = torch.where((wanted - known[after]).abs() <= _TIME_ROUNDING, after, before)
+        self.after = after
         gap = known[self.after] - known[self.before]
-        self.share = ((wanted - known[self.before]) / gap.clamp_min(1e-9))[:, None]
-        # half a microsecond: files round times to one
-        self.valid = (wanted >= known[0] - 1e-6) & (wanted <= known[-1] + 1e-6) & (gap <= _LONGEST_GAP)
+        self.share = ((wanted - known[self.before]) / gap.clamp_min(_TIME_ROUNDING))[:, None]
+        inside = (wanted >= known[0] - _TIME_ROUNDING) & (wanted <= known[-1] + _TIME_ROUNDING)
+        self.valid = inside & (gap <= _LONGEST_GAP)
 
     def __call__(self, values: Tensor) -> Tensor:
         between = torch.lerp(values[self.before], values[self.after], self.share)
