@@ -110,8 +110,9 @@ class SteeredResponsePower(nn.Module):
 class FixedSteeredResponsePower(nn.Module):
     """Steered power at points that stay the same, by the nearest lag: for integrals and maps over a region.
 
-    Made by `SteeredResponsePower.at`. Rounding the lags costs up to one per cent at a point and far less in a
-    mean over points; it makes a table entry of each delay once and for all.
+    Made by `SteeredResponsePower.at`. Rounding the lags costs up to 0.04 of the largest power at a point for two
+    microphones, about 0.01 for eight, and far less in a mean over points; it makes a table entry of each delay
+    once and for all.
 
     Args:
         entries: Where each pair's delay at each point is in the flattened tables, (P, G).
