@@ -1,6 +1,7 @@
 """Flags from signatures, and values that users write in their own way: points, regions, channels."""
 
 import inspect
+import math
 import re
 import sys
 from argparse import ArgumentError
@@ -89,7 +90,7 @@ def point(value: str, flag: str) -> tuple[float, ...]:
         numbers = tuple(float(part) for part in value.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) not in (2, 3):
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise InputError(f"{flag} must be x,y or x,y,z in metres, got {value!r}")
     return numbers
 

@@ -62,7 +62,7 @@ def _print_table(scores: dict[str, Score]) -> None:
         degrees = [None if angle is None else f"{angle * 57.29577951:.1f}" for angle in angles]
         metres = [None if error is None else f"{error:.3f}" for error in (one.rmse, one.final_error)]
         table.add_row(path, str(one.frames), str(one.missing), *(cell or "-" for cell in (*metres, lost, *degrees)))
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = Console(width=None if sys.stdout.isatty() else 10_000)  # a pipe has no edge to wrap at
     console.print(table)
     everything = total(list(scores.values()))
     if len(scores) > 1 and everything["mean_rmse"] is not None:
