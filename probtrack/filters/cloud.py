@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from probtrack.dynamics import Dynamics
-from probtrack.filters.resampling import effective_sample_size
 from probtrack.tracks import Track
+
+_NEAREST = 1e-12  # m: a particle nearer to the origin than that has no direction
 
 
 class Clouds(NamedTuple):
@@ -30,36 +30,48 @@ class Clouds(NamedTuple):
 
 def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
     """Return the track of `clouds`, with azimuths about `origin` (A,) if there is one; its time is zero."""
-    log_weight, lost = torch.stack(clouds.log_weight), torch.stack(clouds.lost)
-    row = log_weight.exp()[..., None, :]  # (T, *batch, 1, N)
-    kinematics = dynamics.kinematics(torch.stack(clouds.state))
-    mean = row @ kinematics.position
-    variance = row @ (kinematics.position - mean).square()
+    log_weight, lost = _stacked(clouds.log_weight), _stacked(clouds.lost)
+    weight = log_weight.exp()  # (T, *batch, N)
+    # states lie in memory by variable: stacked like that, and transposed without a copy
+    kinematics = dynamics.kinematics(_stacked([state.mT for state in clouds.state]).mT)
+    mean = _mean(weight, kinematics.position)
+    variance = _mean(weight, (kinematics.position - mean[..., None, :]).square())
     if kinematics.modelled_heading is None:
-        heading = _angle(row @ kinematics.velocity)
+        heading = _angle(_mean(weight, kinematics.velocity))
     else:
         cosine, sine = kinematics.modelled_heading.cos(), kinematics.modelled_heading.sin()
-        heading = _angle(row @ torch.stack([cosine, sine], -1))
+        heading = _angle(_mean(weight, torch.stack([cosine, sine], -1)))
     azimuth, std_azimuth = None, None
     if origin is not None:
-        direction = row @ normalize(kinematics.position[..., :2] - origin[:2], dim=-1)
-        azimuth, std_azimuth = _angle(direction), _circular_std(direction[..., 0, :])
+        offset = kinematics.position[..., :2] - origin[:2]
+        direction = _mean(weight, offset * offset.square().sum(-1, keepdim=True).clamp_min(_NEAREST**2).rsqrt())
+        azimuth, std_azimuth = _angle(direction), _circular_std(direction)
     return Track(
         time=log_weight.new_zeros(len(lost)),
-        position=mean[..., 0, :],
-        std=variance[..., 0, :].sqrt(),
+        position=mean,
+        std=variance.sqrt(),
         heading=heading,
-        ess=effective_sample_size(log_weight),
-        log_evidence=torch.stack(clouds.joint).logsumexp(-1).masked_fill(lost, 0.0),
+        ess=1 / weight.square().sum(-1),
+        log_evidence=_stacked(clouds.joint).logsumexp(-1).masked_fill(lost, 0.0),
         lost=lost,
         azimuth=azimuth,
         std_azimuth=std_azimuth,
     )
 
 
+def _stacked(frames: list[Tensor]) -> Tensor:
+    """Return `frames` with time as the first axis; one frame of a large cloud is not worth a copy."""
+    return torch.stack(frames) if len(frames) > 1 else frames[0][None]
+
+
+def _mean(weight: Tensor, values: Tensor) -> Tensor:
+    """Return the means (..., J) of `values` (..., N, J) with `weight` (..., N)."""
+    return (values.mT @ weight[..., None])[..., 0]
+
+
 def _angle(vector: Tensor) -> Tensor:
-    """Return the direction (...) of vectors (..., 1, 2 or more) [rad]."""
-    return torch.atan2(vector[..., 0, 1], vector[..., 0, 0])
+    """Return the direction (...) of vectors (..., 2 or more) [rad]."""
+    return torch.atan2(vector[..., 1], vector[..., 0])
 
 
 def _circular_std(direction: Tensor) -> Tensor:

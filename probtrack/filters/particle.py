@@ -154,7 +154,8 @@ class ParticleFilter(nn.Module):
             joint = log_weight + likelihood(observation, kinematics(state))  # step 2, update
             before, log_weight, lost = log_weight, torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
-            if math.isnan(log_weight[..., 0].sum().item()):
+            first = log_weight[..., 0]
+            if math.isnan((first.sum() if first.ndim else first).item()):
                 joint, log_weight, lost = _kept(joint, before)
             clouds.state.append(state)
             clouds.log_weight.append(log_weight)

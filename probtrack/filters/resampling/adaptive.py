@@ -40,18 +40,19 @@ class Adaptive(Resampler):
         return self.resampler.num_uniforms(num_particles)
 
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
-        concentration = log_weight.detach().exp().square_().sum(-1)  # 1 / N_eff
-        most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")
-        if concentration.ndim == 0:
-            return self.resampler(state, log_weight, uniforms) if concentration.item() > most else (state, log_weight)
-        poor = concentration > most
+        weight = log_weight.detach().exp()
+        most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")  # of 1 / N_eff
+        if weight.ndim == 1:
+            poor = weight.dot(weight).item() > most
+            return self.resampler(state, log_weight, uniforms) if poor else (state, log_weight)
+        poor = weight.square_().sum(-1) > most
         rows = poor.flatten().nonzero()[:, 0]
         if len(rows) == 0:
             return state, log_weight
-        clouds, weights = state.flatten(0, -3), log_weight.flatten(0, -2)
+        clouds, weights = state.mT.flatten(0, -3), log_weight.flatten(0, -2)  # in memory by variable
         new_clouds, new_weights = self.resampler(
-            clouds.index_select(0, rows), weights.index_select(0, rows), uniforms.flatten(0, -2)[rows]
+            clouds.index_select(0, rows).mT, weights.index_select(0, rows), uniforms.flatten(0, -2)[rows]
         )
-        clouds = clouds.index_copy(0, rows, new_clouds)
+        clouds = clouds.index_copy(0, rows, new_clouds.mT)
         weights = weights.index_copy(0, rows, new_weights)
-        return clouds.view(state.shape), weights.view(log_weight.shape)
+        return clouds.view(state.mT.shape).mT, weights.view(log_weight.shape)

@@ -50,9 +50,13 @@ class Ancestral(Resampler):
         counts = self.offspring(log_weight.detach().exp(), uniforms)
         # each row's counts sum to N: repeated over the flattened clouds they stay in their rows
         ancestors = torch.repeat_interleave(counts.flatten(), output_size=counts.numel())
-        flat = state.reshape(-1, state.shape[-1]).index_select(0, ancestors)
         equal = torch.full_like(log_weight, -math.log(log_weight.shape[-1]), requires_grad=False)
-        return flat.view(state.shape), equal
+        variables = state.mT  # (*batch, D, N): clouds lie in memory by variable, and stay so
+        if variables.ndim == 2:
+            return variables.index_select(1, ancestors).mT, equal
+        rows = torch.arange(0, counts.numel(), counts.shape[-1], device=counts.device)
+        local = (ancestors.view(-1, counts.shape[-1]) - rows[:, None]).view(*counts.shape[:-1], 1, counts.shape[-1])
+        return variables.gather(-1, local.expand(variables.shape)).mT, equal
 
 
 def cumulative(weight: Tensor) -> Tensor:
@@ -68,5 +72,5 @@ def cumulative(weight: Tensor) -> Tensor:
 def counts(below: Tensor) -> Tensor:
     """Return the differences (*batch, N) of how many draws lie below each cumulative weight, as integers."""
     difference = below.long()
-    difference[..., 1:] -= below[..., :-1].long()
+    difference[..., 1:].sub_(difference[..., :-1].clone())
     return difference
