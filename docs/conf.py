@@ -34,11 +34,13 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 napoleon_custom_sections = ["Shape"]
 
-_MARKUP = re.compile(r"(?<![\w*\\])\*(?=\w)|\|(?=\w+\|)|(?<=\w)\|(?=\s)")
-"""Stars of (*batch, N) and bars of |D| in prose, which reStructuredText takes for emphasis and substitutions."""
+_MARKUP = re.compile(r"(?<![\w*\\])\*(?=\w)|\|(?=\w+\|)|(?<=\w)\|(?=\s)|(?<![^ ])[A-Z](?=\. )")
+"""What reStructuredText would take for markup in prose: (*batch, N), |D|, and the initials that begin a reference."""
+
+_plain: dict[str, list[str]] = {}
 
 
-def _escape_markup(*event: Any) -> None:
+def _escape_markup(_app: Sphinx, what: str, name: str, *event: Any) -> None:
     lines: list[str] = event[-1]
     in_math = False
     for i, line in enumerate(lines):
@@ -46,6 +48,14 @@ def _escape_markup(*event: Any) -> None:
             in_math = line.startswith(".. math::") or (in_math and line.startswith(" "))
         if not in_math and not line.lstrip().startswith(">>>"):
             lines[i] = _MARKUP.sub(r"\\\g<0>", line)
+    if what in ("attribute", "data", "property"):
+        _plain[name] = list(lines)
+
+
+def _keep_sentences(_app: Sphinx, _what: str, name: str, *event: Any) -> None:
+    # napoleon takes what stands before a colon in an attribute's docstring for its type
+    if name in _plain:
+        event[-1][:] = _plain.pop(name)
 
 
 def _skip_fields(_app: Sphinx, _what: str, _name: str, member: object, *_: Any) -> bool | None:
@@ -54,6 +64,7 @@ def _skip_fields(_app: Sphinx, _what: str, _name: str, member: object, *_: Any) 
 
 
 def setup(app: Sphinx) -> None:
-    """Connect both to what autodoc finds."""
+    """Connect them to what autodoc finds."""
     app.connect("autodoc-process-docstring", _escape_markup, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", _keep_sentences, priority=900)  # after it
     app.connect("autodoc-skip-member", _skip_fields)
