@@ -50,7 +50,8 @@ class EnergyVoiceActivity(VoiceActivity):
 
     The average of e runs over microphones and the bins of the band. The floor is the smallest smoothed level
     of the last W frames: it follows falling noise at once and rising noise after the window. Averaging
-    decibels rather than powers keeps a click of one or two frames below the threshold. Frames that are digital
+    decibels rather than powers weakens clicks: J b dB, 24 by default, in one frame or half of it in each of two
+    only reach the threshold. Frames that are digital
     silence, or begin or end in it, have alpha = 0 and do not enter the floor, nor do the J - 1 after them.
 
     S1 uses a detector but gives no formula (section 2.1); this one is our choice. Nothing depends on the
@@ -99,7 +100,8 @@ class EnergyVoiceActivity(VoiceActivity):
 
     def forward(self, frames: Frames, state: EnergyState | None = None) -> tuple[Tensor, EnergyState | None]:
         band = frames.spectrum[..., self.low_bin : self.high_bin + 1]
-        power = (band.real.square() + band.imag.square()).mean((-1, -2))  # (T, *batch)
+        # one axis at a time and contiguous: else the order of adding, and so the rounding, depends on the cut
+        power = (band.real.square() + band.imag.square()).mean(-1).contiguous().mean(-1)  # (T, *batch)
         if len(power) == 0:
             return power, state
         nothing = (power == 0) | begins_or_ends_silent(frames.samples)
@@ -115,7 +117,8 @@ class EnergyVoiceActivity(VoiceActivity):
         over_floor = smooth - running_minimum(candidates, self.window)
         silent = over_floor.isneginf() | over_floor.isnan()
         evidence = self.log_slope.exp() * (over_floor.masked_fill(silent, 0.0) - self.threshold)
-        speech = evidence.sigmoid().masked_fill(silent, 0.0)
+        # not sigmoid(): it rounds the last numbers of a tensor otherwise, so that the cut would show
+        speech = (1 + (-evidence).clamp_max(80.0).exp()).reciprocal().masked_fill(silent, 0.0)
         kept = EnergyState(levels[len(level) :], candidates[len(level) :])
         return speech, kept
 
@@ -228,7 +231,7 @@ def _silent(fresh: Tensor) -> SileroState:
     return SileroState(
         pending=fresh[:, :0],
         context=fresh.new_zeros(size, SileroVoiceActivity.CONTEXT),
-        memory=torch.zeros(2, size, 128, device=fresh.device),
+        memory=torch.zeros(2, size, 128, dtype=torch.float32, device=fresh.device),
         speech=fresh.new_zeros(size),
     )
 
