@@ -43,8 +43,8 @@ class Adaptive(Resampler):
         weight = log_weight.detach().exp()
         most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")  # of 1 / N_eff
         if weight.ndim == 1:
-            poor = weight.dot(weight).item() > most
-            return self.resampler(state, log_weight, uniforms) if poor else (state, log_weight)
+            degenerate = weight.dot(weight).item() > most
+            return self.resampler(state, log_weight, uniforms) if degenerate else (state, log_weight)
         poor = weight.square_().sum(-1) > most
         rows = poor.flatten().nonzero()[:, 0]
         if len(rows) == 0:
