@@ -88,8 +88,9 @@ def _draw_track(table: TrackTable, by_time: dict[str, "Axes"], room: "Axes", col
             _draw_band(by_time[axis], table.time, table.columns[axis], table.get(f"std_{axis}"), colour)
     azimuth = table.get("azimuth")
     if azimuth is not None:
-        degrees, spread = azimuth.rad2deg(), table.get("std_azimuth")
-        _draw_band(by_time["azimuth"], table.time, _cut(degrees), None if spread is None else spread.rad2deg(), colour)
+        spread = table.get("std_azimuth")
+        time, degrees, *std = _cut(table.time, azimuth.rad2deg(), *([] if spread is None else [spread.rad2deg()]))
+        _draw_band(by_time["azimuth"], time, degrees, std[0] if std else None, colour, label=table.path.stem)
     speech = table.get("speech")
     if speech is not None:
         by_time["speech"].fill_between(table.time, speech, color=colour, alpha=0.35, lw=0)
@@ -105,33 +106,44 @@ def _draw_truth(truth: TrackTable, by_time: dict[str, "Axes"], room: "Axes") -> 
             by_time[axis].plot(truth.time, truth.columns[axis], **_TRUTH)
     azimuth, speech = truth.get("azimuth"), truth.get("speech")
     if azimuth is not None:
-        by_time["azimuth"].plot(truth.time, _cut(azimuth.rad2deg()), **_TRUTH)
+        by_time["azimuth"].plot(*_cut(truth.time, azimuth.rad2deg()), **_TRUTH)
     if speech is not None:
         by_time["speech"].plot(truth.time, speech, **_TRUTH)
     if truth.position is not None:
         room.plot(truth.position[:, 0], truth.position[:, 1], **_TRUTH)
 
 
-def _draw_band(axis: "Axes", time: Tensor, value: Tensor, std: Tensor | None, colour: str) -> None:
-    axis.plot(time, value, color=colour, lw=1.2)
+def _draw_band(
+    axis: "Axes", time: Tensor, value: Tensor, std: Tensor | None, colour: str, label: str | None = None
+) -> None:
+    axis.plot(time, value, color=colour, lw=1.2, label=label)
     if std is not None:
         axis.fill_between(time, value - std, value + std, color=colour, alpha=0.2, lw=0)
 
 
-def _cut(degrees: Tensor) -> Tensor:
-    """Break a line of angles where it wraps around."""
-    wraps = torch.cat([torch.zeros(1, dtype=torch.bool), degrees.diff().abs() > 180])
-    return degrees.masked_fill(wraps, math.nan)
+def _cut(time: Tensor, degrees: Tensor, *more: Tensor) -> Tensor:
+    """Return the columns with a gap between the two rows where the angle wraps around."""
+    columns = torch.stack([time, degrees, *more])
+    wraps = (degrees.diff().abs() > 180).nonzero()[:, 0] + 1
+    gap = columns.new_full((len(columns), 1), math.nan)
+    return torch.cat([torch.cat([piece, gap], 1) for piece in columns.tensor_split(wraps, dim=1)], 1)
 
 
 def _finish(by_time: dict[str, "Axes"], room: "Axes") -> None:
     by_time["speech"].set_ylim(0, 1.05)
     low, high = by_time["azimuth"].get_ylim()
     by_time["azimuth"].set_ylim(max(low, -185), min(high, 185))
+    if high - low > 180:
+        by_time["azimuth"].set_yticks(range(-180, 181, 90))
     room.set_aspect("equal", adjustable="datalim")
     room.set(xlabel="x [m]", ylabel="y [m]", title="from above")
     room.grid(color="0.9")
     room.set_axisbelow(True)
-    handles, labels = room.get_legend_handles_labels()
-    if handles:
-        room.legend(handles, labels, loc="upper right", framealpha=0.9)
+    # files of azimuth alone have nothing in the room, but a name there
+    shown = {
+        label: handle
+        for axis in (by_time["azimuth"], room)
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    if shown:
+        room.legend(shown.values(), shown.keys(), loc="upper right", framealpha=0.9)
