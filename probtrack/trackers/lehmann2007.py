@@ -1,6 +1,7 @@
 """The tracker of Lehmann & Johansson 2007: steered power gated by voice activity, a bootstrap filter."""
 
-from typing import Literal
+import math
+from typing import Literal, get_args
 
 from probtrack import dynamics
 from probtrack._checks import as_positive
@@ -83,6 +84,10 @@ def lehmann2007(
         results", PRJ-NICTA-PM-023, 2007: sections 2 and 3.1, N and N_thr of section 5.2. Frame length, hop and
         sampling rate are not given there.
     """
+    if model not in get_args(Model):
+        raise InputError(f"model must be one of {', '.join(get_args(Model))}, got {model!r}")
+    if not math.isfinite(vad_threshold):
+        raise InputError(f"vad_threshold must be finite, got {vad_threshold}")
     height = _height(array, region, height, three_d)
     where = region if three_d else region.plane()
     band = (band_low, band_high)
@@ -121,6 +126,8 @@ def _height(array: MicrophoneArray, region: Region, height: float | None, three_
             raise InputError(f"{array.name}: {what} needs microphone positions (x, y, z), these are (x, y)")
         return None
     if three_d:
+        if height is not None:
+            raise InputError(f"height is for tracking in the plane: three_d tracks it, got {height:g}")
         if region.axes == 2:
             raise InputError("tracking in 3-D needs a region with a z range: low and high of 3 values")
         return None

@@ -1,5 +1,6 @@
 """A front end and a filter: audio in, track out, whole or as it arrives."""
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -62,25 +63,33 @@ class Tracker(nn.Module):
             start_std: Standard deviation of the cloud around `start` [m].
 
         Raises:
-            InputError: for a start point outside the region.
+            InputError: for a start point outside the region or of another shape.
         """
+        if not 0 <= start_std < math.inf:
+            raise InputError(f"start_std must be finite and not negative, got {start_std}")
         noise = self.filter.noise(seeds)
         if start is None:
             belief = self.filter.spread_over(self.region, noise)
         else:
             if start.shape[-1] != self.region.axes or not self.region.contains(start).all():
                 raise InputError(f"start {start.tolist()} is not inside the region {_described(self.region)}")
+            if start.ndim > 1 and start.shape[:-1] != noise.batch:
+                raise InputError(f"start must be one point or one for each of seeds {noise.batch}, got {start.shape}")
             point = start.expand(*noise.batch, self.region.axes)
             belief = self.filter.spread_around(point, noise, std=start_std)
         return TrackerState(belief, noise, None, 0)
 
     def step(self, state: TrackerState, samples: Tensor) -> tuple[TrackerState, Track | None]:
         """Hear the next `samples` (*batch, M, n), of any length n; the track is None if no frame got full."""
+        recordings, seeds = tuple(samples.shape[:-2]), state.noise.batch
+        if seeds[: len(recordings)] != recordings:
+            sizes = "".join(f"{n}, " for n in recordings)
+            raise InputError(f"seeds must have shape ({sizes}*runs) for these recordings, got {seeds}")
         heard, observations = self.front_end.step(state.front_end, samples)
         new = observations.speech.shape[0]
         if new == 0:
             return state._replace(front_end=heard), None
-        runs = len(state.noise.batch) - (samples.ndim - 2)
+        runs = len(seeds) - len(recordings)
         belief, track = self.filter.advance(state.belief, _for_runs(observations, runs), self.dt, state.noise)
         frame = state.frames + torch.arange(new, dtype=torch.float64)
         middle = (frame * self.front_end.stft.hop + self.front_end.stft.frame_length / 2) / self.fs
