@@ -286,7 +286,8 @@ def test_silero_missing_says_how_to_install_it(monkeypatch):
 
 
 @pytest.mark.slow
-def test_silero_leaves_the_number_of_threads_alone(silero):
+@pytest.mark.usefixtures("silero")
+def test_silero_leaves_the_number_of_threads_alone():
     code = "import torch; torch.set_num_threads(3); from probtrack.audio import SileroVoiceActivity as S; S(); "
     result = subprocess.run([sys.executable, "-c", code + "print(torch.get_num_threads())"], capture_output=True)
     assert result.stdout.strip() == b"3", result.stderr
