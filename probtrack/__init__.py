@@ -1,7 +1,7 @@
 """Probabilistic tracking of speakers with microphone arrays: who is speaking, where, and which way they face.
 
-The rooms of the package are imported when they are first named, so that a command which only prints its
-help does not wait for torch:
+The rooms of the package are imported when they are first named, so that a command which only prints the
+list of commands does not wait for torch:
 
 >>> import probtrack as pt
 >>> pt.geometry.Region(low=(0.0, 0.0), high=(3.5, 3.1)).volume
@@ -16,20 +16,22 @@ if TYPE_CHECKING:
     from probtrack import audio as audio
     from probtrack import distributions as distributions
     from probtrack import dynamics as dynamics
+    from probtrack import errors as errors
     from probtrack import filters as filters
     from probtrack import geometry as geometry
     from probtrack import likelihoods as likelihoods
     from probtrack import metrics as metrics
     from probtrack import plotting as plotting
     from probtrack import simulation as simulation
+    from probtrack import track_files as track_files
     from probtrack import trackers as trackers
     from probtrack import tracks as tracks
 
 __version__ = "0.1.0"
 
 _ROOMS = (
-    "audio", "distributions", "dynamics", "filters", "geometry", "likelihoods",
-    "metrics", "plotting", "simulation", "trackers", "tracks",
+    "audio", "distributions", "dynamics", "errors", "filters", "geometry", "likelihoods",
+    "metrics", "plotting", "simulation", "track_files", "trackers", "tracks",
 )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ def parser(command: str, description: str) -> ArgumentParser:
         prog=f"probtrack {command}",
         description=description,
         exit_on_error=False,
+        allow_abbrev=False,
         print_config="--print-config",
         default_env=False,
     )

@@ -111,7 +111,7 @@ def checked_recording(
     recording = Recording.open(path, tracker.fs, channels)
     have, want = len(recording.channels), array.num_microphones
     if have != want:
-        verb = "has" if channels is None else "were picked:"
+        verb = "has" if channels is None else "gives, by --channels,"
         raise InputError(
             f"{path}: {verb} {have} channels and {array.name} has {want} microphones: "
             "pick and order the channels with --channels, such as --channels 1-8"
@@ -140,7 +140,7 @@ def checked_recording(
     return recording, live
 
 
-@torch.no_grad()
+@torch.inference_mode()
 def track_to(writer: TrackWriter, job: Job) -> None:
     """Track the recording of `job` and write the rows of each block as soon as they are known."""
     with _progress(job.recording) as watched:
