@@ -35,7 +35,7 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
     # states lie in memory by variable: stacked like that, and transposed without a copy
     kinematics = dynamics.kinematics(_stacked([state.mT for state in clouds.state]).mT)
     mean = _mean(weight, kinematics.position)
-    variance = _mean(weight, (kinematics.position - mean[..., None, :]).square())
+    variance = _mean(weight, (kinematics.position - mean[..., None, :]).square_())
     if kinematics.modelled_heading is None:
         heading = _angle(_mean(weight, kinematics.velocity))
     else:

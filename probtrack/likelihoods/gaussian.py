@@ -51,5 +51,8 @@ class GaussianPosition(Likelihood):
         return MeasuredPosition(observations[..., None, :], scale.expand(frames), constant.expand(frames))
 
     def forward(self, observation: MeasuredPosition, kinematics: Kinematics) -> Tensor:
-        squares = (kinematics.position - observation.position).square().sum(-1)
+        first, *others = (kinematics.position - observation.position).unbind(-1)
+        squares = first * first
+        for error in others:  # a sum over so short an axis costs four times as much
+            squares = torch.addcmul(squares, error, error)
         return torch.addcmul(observation.constant, squares, observation.scale)
