@@ -253,6 +253,7 @@ def test_impossible_frame_keeps_the_predicted_cloud_and_its_weights(seeds):
     belief, noise = started(particle_filter, torch.tensor(seeds))
     radii = torch.tensor([1.6, 0.0, 9.0]).reshape(3, *[1] * belief.log_evidence.ndim, 1)
     first, _ = particle_filter.step(belief, radii[0], DT, noise)
+    first = first._replace(log_weight=torch.randn(first.log_weight.shape).log_softmax(-1))
     kept, track = particle_filter.step(first, radii[1], DT, noise)
     assert track.lost.all()
     assert (track.log_evidence == 0).all()
@@ -294,7 +295,7 @@ def run_boxed(particle_filter, radii):
 def test_likelihood_that_is_no_number_is_an_error(value, particle, batch):
     particle_filter = langevin_filter(30, likelihood=Flat())
     y = torch.zeros(4, *batch, 30)
-    y[(2, *[1] * len(batch), particle)] = value
+    y[(3, *[1] * len(batch), particle)] = value
     belief, noise = started(particle_filter, torch.zeros(batch, dtype=torch.long))
     with pytest.raises(NotFiniteError, match="likelihood is NaN or infinite"):
         particle_filter(y, belief, DT, noise)
@@ -503,7 +504,8 @@ def test_gradients_survive_a_lost_frame():
             away = observation.position.abs().amax(-1) > 50
             return super().forward(observation, kinematics).masked_fill(away, -math.inf)
 
-    particle_filter, y = langevin_filter(30, likelihood=Gated(STD)), walk(8)
+    never = Adaptive(resampling.systematic, 0)  # so that the weights before the lost frame carry gradients on
+    particle_filter, y = langevin_filter(30, likelihood=Gated(STD), resample=never), walk(8)
     y[3] = 1e2
     track = run(particle_filter, y)
     (track.log_evidence.sum() + track.position.sum()).backward()

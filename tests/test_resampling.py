@@ -108,10 +108,10 @@ def test_residual_keeps_the_whole_part_of_each_expectation(dtype):
 
 
 @each_dtype
-@pytest.mark.parametrize("size", [1, 49, 75, 98, 103])
-def test_residual_copies_each_of_equal_particles_once(size, dtype):
-    weight = torch.full((size,), 1 / size, dtype=dtype)  # 49 / 49 rounds to less than 1
-    assert (residual.offspring(weight, torch.rand(size, dtype=dtype)) == 1).all()
+def test_residual_copies_each_of_equal_particles_once(dtype):
+    for size in range(1, 200):  # 49 / 49 rounds to less than 1
+        weight = torch.full((size,), 1 / size, dtype=dtype)
+        assert (residual.offspring(weight, torch.rand(size, dtype=dtype)) == 1).all()
 
 
 @each_scheme
