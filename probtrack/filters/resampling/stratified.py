@@ -23,7 +23,7 @@ def stratified_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
     scaled = num_particles * cumulative(weight)
     stratum = scaled.floor().clamp_max(num_particles - 1)
     first = uniforms.gather(-1, stratum.long()) < scaled - stratum
-    return counts((stratum + first).masked_fill_(scaled >= num_particles, num_particles))
+    return counts(stratum + first)
 
 
 stratified = Ancestral(stratified_offspring, each=True)
