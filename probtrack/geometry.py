@@ -28,7 +28,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
     True
     """
     wrapped = torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
-    return torch.where(wrapped < math.pi, wrapped, -math.pi)  # just below -pi, the remainder rounds up to 2 pi
+    return torch.where(wrapped >= math.pi, -math.pi, wrapped)  # just below -pi, the remainder rounds up to 2 pi
 
 
 def azimuth(position: Tensor, origin: Tensor) -> Tensor:

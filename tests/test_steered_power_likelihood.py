@@ -29,11 +29,14 @@ class Heard(NamedTuple):
 class Bump(nn.Module):
     """A power that can be integrated by hand: g (1 + x), whatever the microphones."""
 
-    def forward(self, gcc, points):
-        return gcc.mean((-1, -2))[..., None] * (1 + points[..., 0])
+    def distances(self, points):
+        return 5 + points[..., :1]
+
+    def steered(self, gcc, distances):
+        return gcc.mean((-1, -2))[..., None] * (distances[..., 0] - 4)
 
     def at(self, points):
-        return lambda gcc: self(gcc, points)
+        return lambda gcc: self.steered(gcc, self.distances(points))
 
 
 def moving(position):
@@ -237,3 +240,31 @@ def test_rejects_a_region_with_other_axes():
     power = SteeredResponsePower(MicrophoneArray(POSITIONS), lag_rate=64000, num_lags=401)
     with pytest.raises(ShapeError, match=r"points must have shape \(\.\.\., 2\)"):
         SteeredPowerLikelihood(power, Region((0.0, 0.0, 0.0), (1.0, 2.0, 3.0)))
+
+
+def test_no_talker_is_within_the_keep_out_of_a_microphone():
+    gcc, model = likelihood(keep_out=0.3)
+    prepared = model.prepare(observed(gcc, [0.0, 0.9]))
+    microphone = torch.tensor(POSITIONS)[1]
+    points = microphone + torch.tensor([[0.29, 0.0], [0.0, 0.31], [-0.2, 0.2], [-0.25, 0.25]])
+    for frame in range(2):
+        value = model(at_frame(prepared, frame), moving(points))
+        assert value.isneginf().tolist() == [True, False, True, False]
+
+
+def test_density_integrates_to_one_over_what_the_keep_out_leaves():
+    gcc, model = likelihood(keep_out=0.3, grid_points=4000)
+    frame, grid = at_frame(model.prepare(observed(gcc, [0.7])), 0), fine_grid()
+    total = model(frame, moving(grid)).exp().mean().item() * AREA
+    assert abs(total - 1) < 0.01  # circles cut cells, and the lags of the integral are rounded
+
+
+@pytest.mark.parametrize("keep_out", [-0.1, math.nan, math.inf])
+def test_keep_out_that_cannot_be(keep_out):
+    with pytest.raises(InputError, match="keep_out must be finite and at least 0"):
+        likelihood(keep_out=keep_out)
+
+
+def test_keep_out_that_leaves_no_place():
+    with pytest.raises(InputError, match="holds no place that is keep_out = 9 m from every microphone"):
+        likelihood(keep_out=9.0)

@@ -73,27 +73,10 @@ class SteeredResponsePower(nn.Module):
         self.register_buffer("rows", rows.flatten(), persistent=False)
 
     def forward(self, gcc: Tensor, points: Tensor) -> Tensor:
-        self._check_tables(gcc)
-        tables, grid, batch = _aligned(gcc, self._table_coordinates(points))
-        # bilinear between rows that are hit exactly: linear along the lag
-        values = grid_sample(tables, grid, mode="bilinear", padding_mode="border", align_corners=True)
-        return values.sum(-1).view(*batch, points.shape[-2]) + 1 / self.num_microphones
+        return self.steered(gcc, self.distances(points))
 
-    def at(self, points: Tensor) -> "FixedSteeredResponsePower":
-        """Return the steered power at `points` (G, A) that stay the same from frame to frame."""
-        lag, row = self._table_coordinates(points).unbind(-1)
-        lags = ((lag.clamp(-1, 1) + 1) / 2 * (self.num_lags - 1)).round()
-        rows = ((row + 1) / 2 * (self.num_pairs - 1)).round()
-        entries = (rows * self.num_lags + lags).long().t()
-        return FixedSteeredResponsePower(entries, num_microphones=self.num_microphones)
-
-    def _check_tables(self, gcc: Tensor) -> None:
-        if gcc.shape[-2:] != (self.num_pairs, self.num_lags):
-            wanted = f"(..., {self.num_pairs}, {self.num_lags})"
-            raise ShapeError(f"gcc must have shape {wanted}, got {tuple(gcc.shape)}")
-
-    def _table_coordinates(self, points: Tensor) -> Tensor:
-        """Return where the delays of `points` (*batch, N, A) lie in the tables, (*batch, N, P, 2)."""
+    def distances(self, points: Tensor) -> Tensor:
+        """Return the way from `points` (*batch, N, A) to each microphone, (*batch, N, M) [m]."""
         positions = self.positions
         if points.shape[-1] == 2 and positions.shape[1] == 3:
             if self.in_plane:
@@ -102,9 +85,30 @@ class SteeredResponsePower(nn.Module):
                 points = pad(points, (0, 1), value=self.height)
         elif points.shape[-1] != positions.shape[1]:
             raise ShapeError(f"points must have shape (..., {positions.shape[1]}), got {tuple(points.shape)}")
-        distances = torch.cdist(points, positions, compute_mode="donot_use_mm_for_euclid_dist")
+        return torch.cdist(points, positions, compute_mode="donot_use_mm_for_euclid_dist")
+
+    def steered(self, gcc: Tensor, distances: Tensor) -> Tensor:
+        """Return the power (*broadcast, N) at points that are `distances` (*batch, N, M) [m] from the microphones."""
+        if gcc.shape[-2:] != (self.num_pairs, self.num_lags):
+            wanted = f"(..., {self.num_pairs}, {self.num_lags})"
+            raise ShapeError(f"gcc must have shape {wanted}, got {tuple(gcc.shape)}")
+        tables, grid, batch = _aligned(gcc, self._table_coordinates(distances))
+        # bilinear between rows that are hit exactly: linear along the lag
+        values = grid_sample(tables, grid, mode="bilinear", padding_mode="border", align_corners=True)
+        return values.sum(-1).view(*batch, distances.shape[-2]) + 1 / self.num_microphones
+
+    def at(self, points: Tensor) -> "FixedSteeredResponsePower":
+        """Return the steered power at `points` (G, A) that stay the same from frame to frame."""
+        lag, row = self._table_coordinates(self.distances(points)).unbind(-1)
+        lags = ((lag.clamp(-1, 1) + 1) / 2 * (self.num_lags - 1)).round()
+        rows = ((row + 1) / 2 * (self.num_pairs - 1)).round()
+        entries = (rows * self.num_lags + lags).long().t()
+        return FixedSteeredResponsePower(entries, num_microphones=self.num_microphones)
+
+    def _table_coordinates(self, distances: Tensor) -> Tensor:
+        """Return where the delays of points lie in the tables, (*batch, N, P, 2), given their distances."""
         coordinates = torch.addmm(self.rows, distances.view(-1, self.num_microphones), self.steering)
-        return coordinates.view(*points.shape[:-1], self.num_pairs, 2)
+        return coordinates.view(*distances.shape[:-1], self.num_pairs, 2)
 
 
 class FixedSteeredResponsePower(nn.Module):

@@ -28,8 +28,11 @@ class CorrelationsAndSpeech(Protocol):
 class TabulatedPower(Protocol):
     """A module that knows the steered power, such as `probtrack.audio.SteeredResponsePower`."""
 
-    def __call__(self, gcc: Tensor, points: Tensor) -> Tensor:
-        """Return the power (*batch, N) at `points` (*batch, N, A)."""
+    def distances(self, points: Tensor) -> Tensor:
+        """Return the way from `points` (*batch, N, A) to each microphone, (*batch, N, M) [m]."""
+
+    def steered(self, gcc: Tensor, distances: Tensor) -> Tensor:
+        """Return the power (*batch, N) at points with these `distances` to the microphones."""
 
     def at(self, points: Tensor) -> Callable[[Tensor], Tensor]:
         """Return what maps gcc (..., P, K) to the power (..., G) at `points` (G, A) that stay the same."""
@@ -56,14 +59,18 @@ class SteeredPowerLikelihood(Likelihood):
         p(y \mid \ell) = q_0\, \mathcal U_D(\ell) + \gamma (1 - q_0)\, P(\ell)^r, \qquad q_0 = 1 - \alpha,
         \qquad \gamma^{-1} = \int_D P(\ell)^r d\ell
 
-    and 0 outside the region D. P is the output power of a beamformer steered to the position and alpha
-    the probability of speech. Without speech the likelihood is flat over the region: the cloud moves by
-    its dynamics alone. The integral is a mean over the centres of a regular grid; both terms are densities.
+    and 0 outside D, the region without what is nearer than `keep_out` to a microphone. P is the output power of
+    a beamformer steered to the position and alpha the probability of speech. Without speech the likelihood is
+    flat over D: the cloud moves by its dynamics alone. The integral is a mean over the centres of a regular
+    grid; both terms are densities.
 
     Args:
         power: Steered power, a module such as `probtrack.audio.SteeredResponsePower`.
-        region: D, with as many axes as the tracked position.
+        region: Where the talker can be, with as many axes as the tracked position.
         exponent: Initial r; learnable as `log_exponent`. S1 squares the power: r = 2.
+        keep_out: No mouth is nearer than this to a microphone [m]. S1 has no such rule (0). A compact array
+            needs one: next to it a small step is a large angle, and a talker who walks past is explained best
+            by particles that crowd between the microphones.
         grid_points: About how many points the integral is a mean of.
 
     Shape:
@@ -76,12 +83,25 @@ class SteeredPowerLikelihood(Likelihood):
     middle: Tensor
     half_sizes: Tensor
 
-    def __init__(self, power: TabulatedPower, region: Region, *, exponent: float = 2.0, grid_points: int = 400) -> None:
+    def __init__(
+        self,
+        power: TabulatedPower,
+        region: Region,
+        *,
+        exponent: float = 2.0,
+        keep_out: float = 0.0,
+        grid_points: int = 400,
+    ) -> None:
         super().__init__()
         self.power, self.region = power, region
         self.log_exponent = nn.Parameter(as_positive(exponent, "exponent").log())
         low, high = torch.tensor(region.low), torch.tensor(region.high)
-        self.power_on_grid = power.at(region.grid(check_int(grid_points, "grid_points", low=1)))
+        grid = region.grid(check_int(grid_points, "grid_points", low=1))
+        free = power.distances(grid).amin(-1) >= _checked_keep_out(keep_out)
+        if not free.any():
+            raise InputError(f"the region holds no place that is keep_out = {keep_out:g} m from every microphone")
+        self.keep_out, self.volume = keep_out, region.volume * float(free.double().mean())
+        self.power_on_grid = power.at(grid[free])
         self.register_buffer("middle", (low + high) / 2, persistent=False)
         self.register_buffer("half_sizes", (high - low) / 2, persistent=False)
 
@@ -90,14 +110,23 @@ class SteeredPowerLikelihood(Likelihood):
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
         mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
-        return PreparedPower(gcc, (1 - speech) / self.region.volume, speech / (self.region.volume * mean))
+        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean))
 
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
         position = kinematics.position
-        power = self._to_the_exponent(self.power(observation.gcc, position))
+        distances = self.power.distances(position)
+        power = self._to_the_exponent(self.power.steered(observation.gcc, distances))
         density = torch.addcmul(observation.clutter, observation.target, power)
-        inside = ((position.detach() - self.middle).abs() <= self.half_sizes).all(-1)  # not so for NaN
-        return torch.where(inside, density.log(), -torch.inf)
+        possible = ((position.detach() - self.middle).abs() <= self.half_sizes).all(-1)  # not so for NaN
+        if self.keep_out > 0:
+            possible &= distances.detach().amin(-1) >= self.keep_out
+        return torch.where(possible, density.log(), -torch.inf)
 
     def _to_the_exponent(self, power: Tensor) -> Tensor:
         return power.clamp_min(_SMALLEST_POWER).pow(self.log_exponent.exp())
+
+
+def _checked_keep_out(keep_out: float) -> float:
+    if not 0 <= keep_out < float("inf"):
+        raise InputError(f"keep_out must be finite and at least 0, got {keep_out}")
+    return keep_out

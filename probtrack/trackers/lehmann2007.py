@@ -41,6 +41,7 @@ def lehmann2007(
     threshold: float = 0.75,
     resample: Scheme = "systematic",
     exponent: float = 2.0,
+    keep_out: float = 0.2,
     vad: Detector = "energy",
     vad_threshold: float = 8.0,
     vad_slope: float = 1.0,
@@ -59,11 +60,12 @@ def lehmann2007(
         array: The microphones.
         region: Where the talker can be [m]; its z range, if it has one, matters in 3-D only, but must hold
             the height that is tracked.
-        model: Motion model of S1's Table 1.
+        model: Motion model, by its name in the paper's Table 1.
         num_particles: Particles N.
         threshold: Resample when the effective sample size is below this share of N.
         resample: Resampling scheme.
         exponent: Exponent of the steered power in the likelihood.
+        keep_out: No mouth is nearer than this to a microphone [m]; 0, no such rule, is the paper's.
         vad: Voice activity detector: level over a tracked noise floor, or the neural one of silero-vad.
         vad_threshold: Level over the noise floor that counts as speech with probability 1/2 [dB].
         vad_slope: Steepness of the soft decision [1/dB].
@@ -110,7 +112,7 @@ def lehmann2007(
         raise InputError(f"resample must be one of {', '.join(_SCHEMES)}, got {resample!r}")
     particle_filter = ParticleFilter(
         dynamics.lehmann2007(model, axes=where.axes),
-        SteeredPowerLikelihood(power, where, exponent=exponent),
+        SteeredPowerLikelihood(power, where, exponent=exponent, keep_out=keep_out),
         num_particles=num_particles,
         resample=Adaptive(_SCHEMES[resample], threshold),
         origin=array.centre,
