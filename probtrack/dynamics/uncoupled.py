@@ -58,12 +58,13 @@ class CoordinateUncoupled(Dynamics):
             return lambda state, noise: (matrix @ state[..., None] + gain @ noise[..., None])[..., 0]
 
         def step(state: Tensor, noise: Tensor) -> Tensor:
-            if state.ndim < 2 or noise.ndim < 2:
+            if state.ndim < 2 or state.shape[:-1] != noise.shape[:-1]:
                 return state @ matrix.mT + noise @ gain.mT
-            # Each variable of a cloud in a row of its own: what follows runs along rows, 2 to 5 times as fast.
-            moved, pushed = matrix @ state.mT, gain @ noise.mT
-            # In place where shapes allow: at 1e5 particles a third buffer costs four times the products.
-            return (moved.add_(pushed) if moved.shape == pushed.shape else moved + pushed).mT
+            # Variables first in memory, whatever the batch: one product for all clouds, and rows to run along.
+            moved = matrix @ state.movedim(-1, 0).reshape(state.shape[-1], -1)
+            # In place: at 1e5 particles another buffer costs as much as the product.
+            moved.addmm_(gain, noise.movedim(-1, 0).reshape(noise.shape[-1], -1))
+            return moved.view(-1, *state.shape[:-1]).movedim(0, -1)
 
         return step
 

@@ -32,8 +32,8 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
     """Return the track of `clouds`, with azimuths about `origin` (A,) if there is one; its time is zero."""
     log_weight, lost = _stacked(clouds.log_weight), _stacked(clouds.lost)
     weight = log_weight.exp()  # (T, *batch, N)
-    # states lie in memory by variable: stacked like that, and transposed without a copy
-    kinematics = dynamics.kinematics(_stacked([state.mT for state in clouds.state]).mT)
+    # states lie in memory variables first: stacked like that, and turned without a copy
+    kinematics = dynamics.kinematics(_stacked([state.movedim(-1, 0) for state in clouds.state]).movedim(1, -1))
     mean = _mean(weight, kinematics.position)
     variance = _mean(weight, (kinematics.position - mean[..., None, :]).square_())
     if kinematics.modelled_heading is None:
@@ -52,11 +52,19 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
         std=variance.sqrt(),
         heading=heading,
         ess=1 / weight.square().sum(-1),
-        log_evidence=_stacked(clouds.joint).logsumexp(-1).masked_fill(lost, 0.0),
+        log_evidence=_evidence(clouds, log_weight).masked_fill(lost, 0.0),
         lost=lost,
         azimuth=azimuth,
         std_azimuth=std_azimuth,
     )
+
+
+def _evidence(clouds: Clouds, log_weight: Tensor) -> Tensor:
+    """Return what the log weights (T, *batch, N) were normalised by, read off the largest ones.
+
+    A second logsumexp would cost as much as all the rest of the summary.
+    """
+    return _stacked(clouds.joint).amax(-1) - log_weight.amax(-1)
 
 
 def _stacked(frames: list[Tensor]) -> Tensor:
@@ -66,7 +74,10 @@ def _stacked(frames: list[Tensor]) -> Tensor:
 
 def _mean(weight: Tensor, values: Tensor) -> Tensor:
     """Return the means (..., J) of `values` (..., N, J) with `weight` (..., N)."""
-    return (values.mT @ weight[..., None])[..., 0]
+    if weight.ndim == 2:
+        return (values.mT @ weight[..., None])[..., 0]
+    # for a batch a product of matrices would copy: its rows lie in memory variables first
+    return (values.movedim(-1, 0) * weight).sum(-1).movedim(0, -1)
 
 
 def _angle(vector: Tensor) -> Tensor:

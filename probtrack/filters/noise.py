@@ -58,7 +58,7 @@ class NoiseStream:
             torch.Generator(device or "cpu").manual_seed(int(seed)) for seed in seeds.flatten().tolist()
         ]
         frames = max(1, min(_FRAMES, _BLOCK // max(1, num_particles * num_normals)))
-        self._normal_shape = (frames, num_particles, num_normals)
+        self._normal_shape = (frames, num_normals, num_particles)
         self._uniform_shape = (frames, num_uniforms)
         self._like = torch.empty((), dtype=dtype or torch.get_default_dtype(), device=device)
         self._frames = self._draw_frames()
@@ -85,6 +85,6 @@ class NoiseStream:
         axis = len(self.batch)
         while True:
             normal, uniform = self.normal(*self._normal_shape), self.uniform(*self._uniform_shape)
-            normal = normal.mT.contiguous().mT  # in memory by variable: what a motion model multiplies fastest
-            for pair in zip(normal.unbind(axis), uniform.unbind(axis), strict=True):
+            # drawn variables first, which is how clouds lie in memory
+            for pair in zip(normal.mT.unbind(axis), uniform.unbind(axis), strict=True):
                 yield FrameNoise(*pair)

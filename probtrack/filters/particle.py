@@ -17,7 +17,7 @@ from probtrack.geometry import Region
 from probtrack.likelihoods import Likelihood
 from probtrack.tracks import Track, join
 
-_CHUNK = 2**16  # particles whose means are taken at once
+_CHUNK = 2**17  # particles whose means are taken at once
 
 
 class Belief(NamedTuple):

@@ -5,10 +5,10 @@ from probtrack.filters.resampling.adaptive import effective_sample_size as effec
 from probtrack.filters.resampling.base import Ancestral as Ancestral
 from probtrack.filters.resampling.base import Resampler as Resampler
 from probtrack.filters.resampling.multinomial import multinomial as multinomial
-from probtrack.filters.resampling.multinomial import multinomial_offspring as multinomial_offspring
+from probtrack.filters.resampling.multinomial import multinomial_ends as multinomial_ends
 from probtrack.filters.resampling.residual import residual as residual
-from probtrack.filters.resampling.residual import residual_offspring as residual_offspring
+from probtrack.filters.resampling.residual import residual_ends as residual_ends
 from probtrack.filters.resampling.stratified import stratified as stratified
-from probtrack.filters.resampling.stratified import stratified_offspring as stratified_offspring
+from probtrack.filters.resampling.stratified import stratified_ends as stratified_ends
 from probtrack.filters.resampling.systematic import systematic as systematic
-from probtrack.filters.resampling.systematic import systematic_offspring as systematic_offspring
+from probtrack.filters.resampling.systematic import systematic_ends as systematic_ends

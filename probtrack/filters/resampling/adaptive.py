@@ -49,10 +49,14 @@ class Adaptive(Resampler):
         rows = poor.flatten().nonzero()[:, 0]
         if len(rows) == 0:
             return state, log_weight
-        clouds, weights = state.mT.flatten(0, -3), log_weight.flatten(0, -2)  # in memory by variable
+        num_particles = log_weight.shape[-1]
+        variables = state.movedim(-1, 0)  # in memory variables first
+        clouds, weights = variables.reshape(len(variables), -1, num_particles), log_weight.reshape(-1, num_particles)
         new_clouds, new_weights = self.resampler(
-            clouds.index_select(0, rows).mT, weights.index_select(0, rows), uniforms.flatten(0, -2)[rows]
+            clouds.index_select(1, rows).movedim(0, -1),
+            weights.index_select(0, rows),
+            uniforms.reshape(len(weights), -1).index_select(0, rows),
         )
-        clouds = clouds.index_copy(0, rows, new_clouds.mT)
+        clouds = clouds.index_copy(1, rows, new_clouds.movedim(-1, 0))
         weights = weights.index_copy(0, rows, new_weights)
-        return clouds.view(state.mT.shape).mT, weights.view(log_weight.shape)
+        return clouds.view(variables.shape).movedim(0, -1), weights.view(log_weight.shape)

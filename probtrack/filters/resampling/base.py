@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+_SMALL = 1024  # particles for which a search is quicker than a scatter
+
 
 class Resampler(abc.ABC):
     """Exchange of a weighted cloud for another that stands for the same law.
@@ -33,30 +35,51 @@ class Resampler(abc.ABC):
 
 @dataclass(frozen=True)
 class Ancestral(Resampler):
-    """Resampling by copies: each particle leaves as many offspring as `offspring` says, all of weight 1/N.
+    """Resampling by copies: N draws of particles by their weights, and all copies weigh 1/N.
 
     Args:
-        offspring: (weight (*batch, N), uniforms) -> counts (*batch, N), integers that sum to N.
+        ends: (weight (*batch, N), uniforms) -> how many of the N draws fall on each particle or one before it,
+            (*batch, N), whole numbers up to N.
         each: Whether every particle needs a uniform number of its own, or one does for the whole cloud.
     """
 
-    offspring: Callable[[Tensor, Tensor], Tensor]
+    ends: Callable[[Tensor, Tensor], Tensor]
     each: bool
 
     def num_uniforms(self, num_particles: int) -> int:
         return num_particles if self.each else 1
 
+    def offspring(self, weight: Tensor, uniforms: Tensor) -> Tensor:
+        """Return how often each particle is drawn, (*batch, N) integers that sum to N."""
+        ends = self.ends(weight, uniforms).long()
+        return torch.cat([ends[..., :1], ends.diff(dim=-1)], -1)
+
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
-        counts = self.offspring(log_weight.detach().exp(), uniforms)
-        # each row's counts sum to N: repeated over the flattened clouds they stay in their rows
-        ancestors = torch.repeat_interleave(counts.flatten(), output_size=counts.numel())
+        ancestors = drawn_by(self.ends(log_weight.detach().exp(), uniforms))
         equal = torch.full_like(log_weight, -math.log(log_weight.shape[-1]), requires_grad=False)
-        variables = state.mT  # (*batch, D, N): clouds lie in memory by variable, and stay so
-        if variables.ndim == 2:
-            return variables.index_select(1, ancestors).mT, equal
-        rows = torch.arange(0, counts.numel(), counts.shape[-1], device=counts.device)
-        local = (ancestors.view(-1, counts.shape[-1]) - rows[:, None]).view(*counts.shape[:-1], 1, counts.shape[-1])
-        return variables.gather(-1, local.expand(variables.shape)).mT, equal
+        variables = state.movedim(-1, 0)  # clouds lie in memory variables first, and stay so
+        drawn = variables.reshape(len(variables), -1).index_select(1, ancestors)
+        return drawn.view(variables.shape).movedim(0, -1), equal
+
+
+def drawn_by(ends: Tensor) -> Tensor:
+    """Return the particle of every draw, as an index into the flattened clouds, given the `ends` (*batch, N).
+
+    Draw j is of the first particle whose end is beyond j: the number of ends up to j.
+    """
+    size = ends.shape[-1]
+    if ends.numel() <= _SMALL and ends.ndim == 1:
+        draws = torch.arange(size, dtype=ends.dtype, device=ends.device)
+        return torch.searchsorted(ends, draws, right=True, out_int32=True)
+    # counted by one scatter and one sum: at 1e5 particles 40 times as fast as the search, 6 times as repeat_interleave
+    ends = ends.long()
+    if ends.ndim > 1:
+        rows = torch.arange(0, ends.numel(), size, device=ends.device)
+        ends = ends.reshape(-1, size) + rows[:, None]
+    ends = ends.flatten()
+    reached = torch.zeros(len(ends) + 1, dtype=torch.int32, device=ends.device)
+    reached.scatter_add_(0, ends, torch.ones_like(reached[1:]))
+    return reached.cumsum(0, dtype=torch.int32)[:-1]
 
 
 def cumulative(weight: Tensor) -> Tensor:
@@ -66,11 +89,4 @@ def cumulative(weight: Tensor) -> Tensor:
     collect what is missing, even at weight 0.
     """
     total = weight.cumsum(-1)
-    return total / total[..., -1:]
-
-
-def counts(below: Tensor) -> Tensor:
-    """Return the differences (*batch, N) of how many draws lie below each cumulative weight, as integers."""
-    difference = below.long()
-    difference[..., 1:].sub_(difference[..., :-1].clone())
-    return difference
+    return total / total.narrow(-1, total.shape[-1] - 1, 1)

@@ -9,8 +9,8 @@ from probtrack.filters.resampling.multinomial import drawn_particles
 _HAIR = 1e-12  # relative: N w that is a whole number but for rounding, such as 49 / 49, is that number
 
 
-def residual_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
-    r"""Return :math:`\lfloor N w_i \rfloor` copies of each particle, and the rest drawn by what is left.
+def residual_ends(weight: Tensor, uniforms: Tensor) -> Tensor:
+    r"""Return the ends of :math:`\lfloor N w_i \rfloor` copies of each particle and the rest drawn by what is left.
 
     Args:
         weight: Weights (*batch, N), sum 1.
@@ -30,7 +30,7 @@ def residual_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
     rest = torch.where(left > 0, fraction, weight)
     drawn = drawn_particles(rest, uniforms.double())
     used = (torch.arange(num_particles, device=weight.device) < left).long()
-    return whole.long().scatter_add_(-1, drawn, used)
+    return whole.long().scatter_add_(-1, drawn, used).cumsum(-1)
 
 
-residual = Ancestral(residual_offspring, each=True)
+residual = Ancestral(residual_ends, each=True)

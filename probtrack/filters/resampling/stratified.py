@@ -2,11 +2,11 @@
 
 from torch import Tensor
 
-from probtrack.filters.resampling.base import Ancestral, counts, cumulative
+from probtrack.filters.resampling.base import Ancestral, cumulative
 
 
-def stratified_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
-    r"""Return how often each particle is drawn by the points :math:`(j + u_j) / N`, j = 0, ..., N - 1.
+def stratified_ends(weight: Tensor, uniforms: Tensor) -> Tensor:
+    r"""Return how many points :math:`(j + u_j) / N`, j = 0, ..., N - 1, lie below each cumulative weight.
 
     Below a cumulative weight C lie all points of the strata that end before it, and the point of its own
     stratum if that point comes first.
@@ -23,7 +23,7 @@ def stratified_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
     scaled = num_particles * cumulative(weight)
     stratum = scaled.floor().clamp_max(num_particles - 1)
     first = uniforms.gather(-1, stratum.long()) < scaled - stratum
-    return counts(stratum + first)
+    return stratum + first
 
 
-stratified = Ancestral(stratified_offspring, each=True)
+stratified = Ancestral(stratified_ends, each=True)

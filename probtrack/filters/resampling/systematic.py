@@ -1,15 +1,17 @@
 """Systematic resampling: one uniform number shifts a regular comb over the cumulative weights."""
 
+import torch
 from torch import Tensor
 
-from probtrack.filters.resampling.base import Ancestral, counts, cumulative
+from probtrack.filters.resampling.base import Ancestral, cumulative
 
 
-def systematic_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
-    r"""Return how often each particle is drawn, :math:`\lceil N C_i - u \rceil - \lceil N C_{i-1} - u \rceil`.
+def systematic_ends(weight: Tensor, uniforms: Tensor) -> Tensor:
+    r"""Return how many points (j + u) / N of a regular comb lie below each cumulative weight C_i.
 
-    That is the number of points (j + u) / N of a regular comb below the cumulative weight C_i: linear in N, and
-    never more than one away from N w_i. (Searching the comb in C costs log N times as much.)
+    .. math:: \lceil N C_i - u \rceil
+
+    Linear in N, and each particle is drawn at most one time more or less than N w_i.
 
     Args:
         weight: Weights (*batch, N), sum 1.
@@ -20,13 +22,13 @@ def systematic_offspring(weight: Tensor, uniforms: Tensor) -> Tensor:
         Radar, Sonar and Navigation 146(1), 1999; S1 Algorithm 1, step 3, leaves the scheme open.
 
     >>> import torch
-    >>> systematic_offspring(torch.tensor([0.1, 0.6, 0.3]), torch.tensor([0.5])).tolist()
-    [0, 2, 1]
+    >>> systematic_ends(torch.tensor([0.1, 0.6, 0.3]), torch.tensor([0.5])).tolist()
+    [0.0, 2.0, 3.0]
     """
     num_particles = weight.shape[-1]
-    reached = cumulative(weight)
-    below = (num_particles * reached).sub_(uniforms).ceil_().masked_fill_(reached >= 1, num_particles)
-    return counts(below)
+    # so that N - u is above N - 1 when rounded: otherwise the last draw would have no particle
+    shift = uniforms.clamp_max(1 - num_particles * torch.finfo(weight.dtype).eps)
+    return (num_particles * cumulative(weight)).sub_(shift).ceil_()
 
 
-systematic = Ancestral(systematic_offspring, each=False)
+systematic = Ancestral(systematic_ends, each=False)
