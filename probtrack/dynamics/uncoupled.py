@@ -61,6 +61,8 @@ class CoordinateUncoupled(Dynamics):
             if state.ndim < 2 or state.shape[:-1] != noise.shape[:-1]:
                 return state @ matrix.mT + noise @ gain.mT
             # Variables first in memory, whatever the batch: one product for all clouds, and rows to run along.
+            if state.ndim == 2:
+                return (matrix @ state.mT).addmm_(gain, noise.mT).mT
             moved = matrix @ state.movedim(-1, 0).reshape(state.shape[-1], -1)
             # In place: at 1e5 particles another buffer costs as much as the product.
             moved.addmm_(gain, noise.movedim(-1, 0).reshape(noise.shape[-1], -1))

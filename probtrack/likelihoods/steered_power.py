@@ -80,8 +80,8 @@ class SteeredPowerLikelihood(Likelihood):
         S1 eq. (4) and (5), with gamma normalised over D each frame and the exponent 2 a parameter.
     """
 
-    middle: Tensor
-    half_sizes: Tensor
+    low: Tensor
+    high: Tensor
 
     def __init__(
         self,
@@ -95,15 +95,14 @@ class SteeredPowerLikelihood(Likelihood):
         super().__init__()
         self.power, self.region = power, region
         self.log_exponent = nn.Parameter(as_positive(exponent, "exponent").log())
-        low, high = torch.tensor(region.low), torch.tensor(region.high)
         grid = region.grid(check_int(grid_points, "grid_points", low=1))
         free = power.distances(grid).amin(-1) >= _checked_keep_out(keep_out)
         if not free.any():
             raise InputError(f"the region holds no place that is keep_out = {keep_out:g} m from every microphone")
         self.keep_out, self.volume = keep_out, region.volume * float(free.double().mean())
         self.power_on_grid = power.at(grid[free])
-        self.register_buffer("middle", (low + high) / 2, persistent=False)
-        self.register_buffer("half_sizes", (high - low) / 2, persistent=False)
+        self.register_buffer("low", torch.tensor(region.low), persistent=False)
+        self.register_buffer("high", torch.tensor(region.high), persistent=False)
 
     def prepare(self, observations: CorrelationsAndSpeech) -> PreparedPower:
         gcc, speech = observations.gcc, observations.speech[..., None]
@@ -117,9 +116,9 @@ class SteeredPowerLikelihood(Likelihood):
         distances = self.power.distances(position)
         power = self._to_the_exponent(self.power.steered(observation.gcc, distances))
         density = torch.addcmul(observation.clutter, observation.target, power)
-        possible = ((position.detach() - self.middle).abs() <= self.half_sizes).all(-1)  # not so for NaN
+        possible = (position.clamp(self.low, self.high) == position).all(-1)  # not so for NaN
         if self.keep_out > 0:
-            possible &= distances.detach().amin(-1) >= self.keep_out
+            possible &= distances.amin(-1) >= self.keep_out
         return torch.where(possible, density.log(), -torch.inf)
 
     def _to_the_exponent(self, power: Tensor) -> Tensor:
