@@ -173,10 +173,10 @@ def test_samples_that_are_not_finite(scene, capsys, value):
 
 def test_dead_channel_is_named_and_left_out(scene, capsys):
     changed(scene, lambda x: x.index_fill(0, torch.tensor([1]), 0.25))
-    assert run(scene, "--num-particles", "400") == 0
+    assert run(scene, "--num-particles", "400", "--start", "2.2,1.3") == 0
     assert "warning: channel 2 is constant or all zero: tracking with the other 4" in capsys.readouterr().err
     torch.testing.assert_close(
-        read_track(scene / "track.csv").position[-1], torch.tensor([2.4, 1.1]), atol=0.15, rtol=0
+        read_track(scene / "track.csv").position[-1], torch.tensor([2.4, 1.1]), atol=0.05, rtol=0
     )
 
 

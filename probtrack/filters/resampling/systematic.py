@@ -22,8 +22,8 @@ def systematic_ends(weight: Tensor, uniforms: Tensor) -> Tensor:
         Radar, Sonar and Navigation 146(1), 1999; S1 Algorithm 1, step 3, leaves the scheme open.
 
     >>> import torch
-    >>> systematic_ends(torch.tensor([0.1, 0.6, 0.3]), torch.tensor([0.5])).tolist()
-    [0.0, 2.0, 3.0]
+    >>> systematic_ends(torch.tensor([0.1, 0.6, 0.3]), torch.tensor([0.5])).int().tolist()
+    [0, 2, 3]
     """
     num_particles = weight.shape[-1]
     # so that N - u is above N - 1 when rounded: otherwise the last draw would have no particle
