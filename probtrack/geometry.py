@@ -19,6 +19,7 @@ SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius [m/s]."""
 
 _FARTHEST = 100.0  # m; positions beyond this are taken for another unit
+_SPARSEST = 10.0  # m; so are microphones all of which are farther apart: 5 mm written as 5 is missed, 12 mm is not
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
@@ -51,7 +52,7 @@ class MicrophoneArray:
 
     Raises:
         InputError: for a wrong shape, values that are not finite, duplicates, or lengths that cannot be
-            metres (beyond 100 m).
+            metres (beyond 100 m, or all microphones more than 10 m apart).
 
     >>> array = MicrophoneArray([[0.0, 0.1], [0.0, -0.1], [0.2, 0.0]])
     >>> array.pairs.tolist()
@@ -256,5 +257,10 @@ def _checked_positions(positions: Tensor | Sequence[Sequence[float]], name: str)
         raise InputError(
             f"{name}: a position of {float(x.abs().max()):g} m is beyond {_FARTHEST:g} m: positions are in "
             "metres (were they millimetres?)"
+        )
+    if distances.min() > _SPARSEST:
+        raise InputError(
+            f"{name}: no two microphones are within {_SPARSEST:g} m, the nearest are {float(distances.min()):g} m "
+            "apart: positions are in metres (were they millimetres?)"
         )
     return x

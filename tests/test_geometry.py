@@ -196,7 +196,15 @@ BAD_POSITIONS = {
     "inf": ([[0.0, 1.0], [math.inf, 0.0]], "positions must be finite"),
     "duplicates": ([[0.0, 1.0], [2.0, 0.0], [2.0, 0.0]], "microphones 2 and 3 have the same position"),
     "millimetres": ([[0.0, 1500.0], [400.0, 0.0]], "1500 m is beyond 100 m: positions are in metres .were they milli"),
+    "millimetres of a small array": (
+        [[32.0, 0.0], [0.0, 32.0], [-32.0, 0.0], [0.0, -32.0]],
+        "within 10 m, the nearest are 45.2548 m apart: positions are in metres .were they milli",
+    ),
 }
+
+
+def test_takes_arrays_in_a_hall():
+    MicrophoneArray([[0.0, 0.0], [9.5, 0.0], [40.0, 0.0]])
 
 
 @pytest.mark.parametrize(("positions", "match"), BAD_POSITIONS.values(), ids=BAD_POSITIONS)
