@@ -210,6 +210,7 @@ def test_clipping_is_told_with_its_share(scene, capsys):
         ([[0.0, 1.0, 1.0]], ["shape (M, 2) or (M, 3)", "(1, 3)"]),
         ([[0, 0, 0], [1, 0, 0], [0, 0, 0]], ["microphones 1 and 3", "same position"]),
         ([[0, 0, 0], [800, 0, 0], [0, 400, 0]], ["800 m", "millimetres"]),
+        ([[0, 0, 0], [46, 0, 0], [0, 46, 0]], ["the nearest are 46 m apart", "millimetres"]),
     ],
 )
 def test_array_file_that_cannot_be(scene, capsys, positions, words):
@@ -236,6 +237,7 @@ def test_array_file_that_cannot_be(scene, capsys, positions, words):
         (["--height", "5"], ["misses the plane"]),
         (["--model", "CU-NONE"], ["--model: expected one of", "CU-LAN"]),
         (["--fs", "0"], ["fs"]),
+        (["--seed", "9" * 20], ["seeds must be integers of at most 64 bits"]),
         (["--channels", "0"], ["--channels"]),
         (["--channels", "1,2,3,4,9"], ["no channel 9"]),
         (["--no-such-flag"], ["no-such-flag"]),

@@ -92,6 +92,13 @@ def test_points_of_the_comb_on_a_border_go_to_the_particle_above(u):
     assert counts.tolist() == oracle.systematic(weights, u)
 
 
+def test_systematic_draws_no_more_than_there_are_particles_however_many():
+    size = 9_000_000  # N eps > 1 in float32
+    ends = systematic.ends(torch.full((size,), 1 / size, dtype=torch.float32), torch.zeros(1))
+    assert ends[0] >= 0
+    assert ends[-1] == size
+
+
 @each_dtype
 def test_systematic_counts_stay_within_one_of_their_expectation(dtype):
     weight = random_weights(200, 31, dtype=dtype)

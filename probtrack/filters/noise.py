@@ -49,7 +49,10 @@ class NoiseStream:
         dtype: torch.dtype | None = None,
         device: torch.device | None = None,
     ) -> None:
-        seeds = torch.as_tensor(seeds)
+        try:
+            seeds = torch.as_tensor(seeds)
+        except (ValueError, OverflowError, RuntimeError):
+            raise InputError(f"seeds must be integers of at most 64 bits, got {seeds}") from None
         if seeds.is_floating_point() or seeds.is_complex():
             raise InputError(f"seeds must be integers, got {seeds.dtype}")
         check_int(num_particles, "num_particles", low=1)

@@ -1,4 +1,4 @@
-"""What a resampling scheme is, and the one way from offspring counts to a new cloud."""
+"""What a resampling scheme is, and the one way from the draws to a new cloud."""
 
 import abc
 import math

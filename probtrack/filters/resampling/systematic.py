@@ -27,7 +27,7 @@ def systematic_ends(weight: Tensor, uniforms: Tensor) -> Tensor:
     """
     num_particles = weight.shape[-1]
     # so that N - u is above N - 1 when rounded: otherwise the last draw would have no particle
-    shift = uniforms.clamp_max(1 - num_particles * torch.finfo(weight.dtype).eps)
+    shift = uniforms.clamp_max(max(0.0, 1 - num_particles * torch.finfo(weight.dtype).eps))
     return (num_particles * cumulative(weight)).sub_(shift).ceil_()
 
 
