@@ -37,7 +37,7 @@ def main() -> int:
 
 
 def track_simulated(out: Path, speech: str | None, seed: int) -> int:
-    """Simulate the scene, track it as S1 does (75 particles, begun at the talker), score and draw it."""
+    """Simulate the scene, track it from where the talker starts, as S1 does, score and draw it."""
     from probtrack.simulation import demo_scene
 
     begin = time.perf_counter()
@@ -65,20 +65,20 @@ def track_simulated(out: Path, speech: str | None, seed: int) -> int:
 
 
 def track_own(audio: str, array: str | None, out: Path, seed: int) -> int:
-    """Track a recording of the user's with enough particles for any array, and draw it."""
+    """Track a recording of the user's, from anywhere, and draw it."""
     from probtrack.audio import Recording
 
     if array is None:
         raise InputError("AUDIO needs ARRAY too: the file with its microphone positions (docs/files.md)")
     begin = time.perf_counter()
-    if code := _track(audio, array, out, seed, "--num-particles", "500"):
+    if code := _track(audio, array, out, seed):
         return code
     tracked = time.perf_counter() - begin
     if code := _plot(array, out):
         return code
     print(f"recording  {audio}")
     _print_files(out, tracked, Recording.open(audio).duration)
-    print(f"again      probtrack track {audio} --array {array} --num-particles 500 -o track.csv")
+    print(f"again      probtrack track {audio} --array {array} -o track.csv")
     return 0
 
 
@@ -100,7 +100,7 @@ def _score(truth: str, track: Path) -> dict[str, float]:
 
 
 def _print_files(out: Path, seconds: float, duration: float) -> None:
-    print(f"track      {out}/track.csv, in {seconds:.1f} s: {seconds / duration:.2f} of real time, start-up included")
+    print(f"track      {out}/track.csv, in {seconds:.1f} s: {seconds / duration:.2f} of real time")
     print(f"picture    {out}/track.png")
 
 

@@ -15,7 +15,7 @@ def tracks(data_dir, tmp_path_factory):
     """Tracks of three seeds, as the documentation's command makes them."""
     folder = tmp_path_factory.mktemp("av163")
     audio = data_dir / "recordings" / "seq11-1p-0100_array1_8ch.flac"
-    command = ["track", str(audio), "--array", "av16.3-array1", "--num-particles", "500"]
+    command = ["track", str(audio), "--array", "av16.3-array1"]
     for seed in range(3):
         assert main([*command, "--seed", str(seed), "-o", str(folder / f"{seed}.csv")]) == 0
     return [read_track(folder / f"{seed}.csv") for seed in range(3)]

@@ -37,7 +37,7 @@ def lehmann2007(
     region: Region,
     model: Model = "CU-LAN",
     *,
-    num_particles: int = 75,
+    num_particles: int = 500,
     threshold: float = 0.75,
     resample: Scheme = "systematic",
     exponent: float = 2.0,
@@ -61,7 +61,8 @@ def lehmann2007(
         region: Where the talker can be [m]; its z range, if it has one, matters in 3-D only, but must hold
             the height that is tracked.
         model: Motion model, by its name in the paper's Table 1.
-        num_particles: Particles N.
+        num_particles: Particles N. The paper has 75, begun around the talker; from anywhere it takes some hundred
+            to find one.
         threshold: Resample when the effective sample size is below this share of N.
         resample: Resampling scheme.
         exponent: Exponent of the steered power in the likelihood.
@@ -83,7 +84,7 @@ def lehmann2007(
 
     References:
         E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking - preliminary
-        results", PRJ-NICTA-PM-023, 2007: sections 2 and 3.1, N and N_thr of section 5.2. Frame length, hop and
+        results", PRJ-NICTA-PM-023, 2007: sections 2 and 3.1, N_thr of section 5.2. Frame length, hop and
         sampling rate are not given there.
     """
     if model not in get_args(Model):
