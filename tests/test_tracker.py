@@ -69,7 +69,21 @@ def test_finds_a_talker_anywhere(walk):
     assert (track.position - truth[:, None, :2]).norm(dim=-1)[100:].square().mean().sqrt() < BOUND
 
 
-@pytest.mark.parametrize("settings", [{"resample": "residual"}, {"exponent": 4.0}, {"threshold": 0.5}, {"hop": 512}])
+SETTINGS = [
+    {"resample": "residual"},
+    {"exponent": 4.0},
+    {"threshold": 0.5},
+    {"hop": 512},
+    {"keep_out": 0.7},
+    {"vad_threshold": 20.0},
+    {"vad_slope": 0.2},
+    {"band_low": 600.0},
+    {"band_high": 2000.0},
+    {"speed_of_sound": 350.0},
+]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
 @torch.no_grad()
 def test_settings_reach_the_filter(walk, settings):
     samples, _ = walk
@@ -198,6 +212,8 @@ IMPOSSIBLE = [
     ({"threshold": NAN}, r"threshold must be in \[0, 1\].* got nan"),
     ({"exponent": -1}, "exponent must be finite and positive, got -1"),
     ({"exponent": NAN}, "exponent must be finite and positive"),
+    ({"keep_out": -0.1}, "keep_out must be finite and at least 0, got -0.1"),
+    ({"keep_out": 9.0}, "the region holds no place that is keep_out = 9 m from every microphone"),
     ({"hop": 513}, "hop must be at most frame_length = 512, got 513"),
     ({"hop": 0}, "hop must be an integer of at least 1, got 0"),
     ({"frame_length": 3}, "frame_length must be an integer of at least 16"),

@@ -98,8 +98,9 @@ def prepared(command: str, args: Namespace) -> Job:
     if len(live) < array.num_microphones:
         if settings["height"] is None and array.axes == 3 and not args.three_d:
             settings["height"] = float(array.centre[2])  # of all microphones, not of those that are left
-        array = array.select(live)
+        centre, array = array.centre, array.select(live)
         tracker = lehmann2007(array, region, **settings)
+        tracker.filter.origin = centre  # azimuths too are about the centre of all
         state = tracker.begin(args.seed, start)
     return Job(recording, array, region, tracker, state)
 
