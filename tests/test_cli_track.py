@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -198,11 +199,24 @@ def test_silence_throughout_spreads_and_is_never_nan(scene, capsys):
 
 
 def test_clipping_is_told_with_its_share(scene, capsys):
-    changed(scene, lambda x: (8 * x).clamp(-1, 1))
+    changed(scene, lambda x: torch.cat([(8 * x[:2]).clamp(-1, 1), x[2:]]))
     assert run(scene) == 0
     said = capsys.readouterr().err
-    assert "warning: channel 1 is clipped: " in said
-    assert "% of its samples" in said
+    assert re.search(r"warning: clipped, .*: channel 1 \([\d.]+%\), 2 \([\d.]+%\)$", said.strip())
+
+
+def test_a_start_beside_a_microphone(scene, capsys):
+    fails(capsys, run(scene, "--start", "1.4,0.5"), "start [1.4, 0.5]", "keep_out")
+    assert run(scene, "--start", "1.4,0.5", "--keep-out", "0") == 0
+
+
+def test_too_many_particles_for_the_memory(scene, capsys):
+    fails(capsys, run(scene, "--num-particles", "1000000000000"), "not enough memory")
+
+
+def test_an_exponent_that_leaves_nothing_of_any_power_is_never_nan(scene):
+    assert run(scene, "--exponent", "80") == 0
+    assert all(column.isfinite().all() for column in read_track(scene / "track.csv").columns.values())
 
 
 @pytest.mark.parametrize(
@@ -236,6 +250,7 @@ def test_array_file_that_cannot_be(scene, capsys, positions, words):
         (["--hop", "513"], ["hop must be at most frame_length"]),
         (["--band-low", "9000"], ["band must satisfy"]),
         (["--speed-of-sound", "0"], ["speed_of_sound"]),
+        (["--vad-slope", "0"], ["vad_slope must be finite and positive"]),
         (["--height", "5"], ["misses the plane"]),
         (["--model", "CU-NONE"], ["--model: expected one of", "CU-LAN"]),
         (["--fs", "0"], ["fs"]),

@@ -157,8 +157,8 @@ def test_start_puts_the_cloud_there(walk):
     start = torch.tensor([2.9, 0.6])
     track = tracker(num_particles=2000)(walk[0][:, :512], start=start)  # before the first word
     assert (track.position[0] - start).norm() < 0.02
-    state = tracker().begin(torch.tensor([3, 4]), torch.stack([start, start / 2]), start_std=0.0)
-    torch.testing.assert_close(state.belief.state[..., :2], torch.stack([start, start / 2])[:, None].expand(2, 500, 2))
+    state = tracker().begin(torch.tensor([3, 4]), torch.stack([start, start / 3]), start_std=0.0)
+    torch.testing.assert_close(state.belief.state[..., :2], torch.stack([start, start / 3])[:, None].expand(2, 500, 2))
 
 
 @pytest.mark.parametrize("level", [0.0, 0.3])

@@ -36,9 +36,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"probtrack {command}", str(error))
     except KeyboardInterrupt:
         return 130
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "allocate memory" not in str(error):
+            raise  # a defect of ours: its traceback is wanted
+        return _fail(f"probtrack {command}", "not enough memory: fewer particles, or a larger speed of sound?")
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left: nothing to say, and nobody to say it to
         return 0
+    except OSError as error:  # such as a full disk
+        return _fail(f"probtrack {command}", str(error))
 
 
 def _fail(program: str, message: str) -> int:

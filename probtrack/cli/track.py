@@ -135,9 +135,13 @@ def checked_recording(
     if dead:
         flags.warn(command, f"channel {dead} is constant or all zero: tracking with the other {len(live)}")
         recording = Recording.open(path, tracker.fs, [recording.channels[i] for i in live])
-    for n, share in zip(number, survey.clipped.tolist(), strict=True):
-        if share > _FLAGGED_CLIPPING:
-            flags.warn(command, f"channel {n} is clipped: {share:.2%} of its samples are at full scale")
+    clipped = [
+        f"{n} ({share:.2%})"
+        for n, share in zip(number, survey.clipped.tolist(), strict=True)
+        if share > _FLAGGED_CLIPPING
+    ]
+    if clipped:
+        flags.warn(command, f"clipped, with the share of samples at full scale: channel {', '.join(clipped)}")
     return recording, live
 
 

@@ -3,6 +3,7 @@
 import abc
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 
 from probtrack.dynamics import Kinematics
@@ -20,6 +21,10 @@ class Likelihood(nn.Module, abc.ABC):
         A filter calls this once a block of frames and hands one frame of the result to each `forward`.
         """
         return observations
+
+    def possible(self, position: Tensor) -> Tensor:
+        """Return whether a talker can be at `position` (..., A) at all, whatever is observed, (...) bool."""
+        return torch.ones(position.shape[:-1], dtype=torch.bool, device=position.device)
 
     @abc.abstractmethod
     def forward(self, observation: Any, kinematics: Kinematics) -> Tensor:

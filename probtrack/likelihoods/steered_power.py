@@ -109,6 +109,7 @@ class SteeredPowerLikelihood(Likelihood):
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
         mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
+        mean = mean.clamp_min(torch.finfo(mean.dtype).tiny)  # a large exponent may leave nothing of any power
         return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean))
 
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
@@ -116,10 +117,16 @@ class SteeredPowerLikelihood(Likelihood):
         distances = self.power.distances(position)
         power = self._to_the_exponent(self.power.steered(observation.gcc, distances))
         density = torch.addcmul(observation.clutter, observation.target, power)
-        possible = (position.clamp(self.low, self.high) == position).all(-1)  # not so for NaN
-        if self.keep_out > 0:
-            possible &= distances.amin(-1) >= self.keep_out
-        return torch.where(possible, density.log(), -torch.inf)
+        return torch.where(self._possible(position, distances), density.log(), -torch.inf)
+
+    def possible(self, position: Tensor) -> Tensor:
+        return self._possible(position, self.power.distances(position.reshape(-1, position.shape[-1]))).reshape(
+            position.shape[:-1]
+        )
+
+    def _possible(self, position: Tensor, distances: Tensor) -> Tensor:
+        inside = (position.clamp(self.low, self.high) == position).all(-1)  # not so for NaN
+        return inside & (distances.amin(-1) >= self.keep_out) if self.keep_out > 0 else inside
 
     def _to_the_exponent(self, power: Tensor) -> Tensor:
         return power.clamp_min(_SMALLEST_POWER).pow(self.log_exponent.exp())

@@ -68,8 +68,8 @@ def lehmann2007(
         exponent: Exponent of the steered power in the likelihood.
         keep_out: No mouth is nearer than this to a microphone [m]; 0, no such rule, is the paper's.
         vad: Voice activity detector: level over a tracked noise floor, or the neural one of silero-vad.
-        vad_threshold: Level over the noise floor that counts as speech with probability 1/2 [dB].
-        vad_slope: Steepness of the soft decision [1/dB].
+        vad_threshold: Level over the noise floor that the energy detector takes for speech with probability 1/2 [dB].
+        vad_slope: Steepness of the energy detector's decision [1/dB].
         height: Height z of the talker's mouth, for tracking in the plane [m]; the array's height if not given.
         three_d: Track height too (needs microphones that differ in all three axes to see it).
         fs: Working sampling rate [Hz].
@@ -95,6 +95,7 @@ def lehmann2007(
     where = region if three_d else region.plane()
     band = (band_low, band_high)
     as_positive(float(fs), "fs")
+    as_positive(vad_slope, "vad_slope")
     stft = ShortTimeSpectrum(frame_length, hop)
     gcc = GeneralisedCrossCorrelation(array, fs=fs, frame_length=frame_length, band=band, speed_of_sound=speed_of_sound)
     power = SteeredResponsePower(

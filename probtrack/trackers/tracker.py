@@ -63,7 +63,7 @@ class Tracker(nn.Module):
             start_std: Standard deviation of the cloud around `start` [m].
 
         Raises:
-            InputError: for a start point outside the region or of another shape.
+            InputError: for a start point outside the region, within keep_out of a microphone, or of another shape.
         """
         if not 0 <= start_std < math.inf:
             raise InputError(f"start_std must be finite and not negative, got {start_std}")
@@ -73,6 +73,8 @@ class Tracker(nn.Module):
         else:
             if start.shape[-1] != self.region.axes or not self.region.contains(start).all():
                 raise InputError(f"start {start.tolist()} is not inside the region {_described(self.region)}")
+            if not self.filter.likelihood.possible(start).all():
+                raise InputError(f"start {start.tolist()} is where no talker can be: within keep_out of a microphone")
             if start.ndim > 1 and start.shape[:-1] != noise.batch:
                 raise InputError(f"start must be one point or one for each of seeds {noise.batch}, got {start.shape}")
             point = start.expand(*noise.batch, self.region.axes)
