@@ -51,7 +51,7 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
         position=mean,
         std=variance.sqrt(),
         heading=heading,
-        ess=1 / weight.square().sum(-1),
+        ess=1 / _mean(weight, weight[..., None])[..., 0],
         log_evidence=_evidence(clouds, log_weight).masked_fill(lost, 0.0),
         lost=lost,
         azimuth=azimuth,
