@@ -55,7 +55,9 @@ def track_simulated(out: Path, speech: str | None, seed: int) -> int:
     voice = "a synthetic voice" if speech is None else speech
     print(f"scene      {scene.duration:g} s of {voice} walking in S1's room, {out}/ ({simulated:.0f} s to simulate)")
     print(f"room       3.5 x 3.1 x 2.2 m, T60 {scene.t60:g} s, SNR {scene.snr_db:g} dB, 8 microphones")
+    print(f"model      CU-LAN with 500 particles, begun at the talker's first position ({x}, {y}) m, seed {seed}")
     _print_files(out, tracked, scene.duration)
+    print(f"truth      {truth}, figures in {out}/score.json")
     print(f"error      RMSE {figures['rmse']:.3f} m over {figures['frames']} frames, pauses included")
     print(f"           {figures['final_error']:.3f} m in the last 0.5 s: track {'lost' if figures['lost'] else 'kept'}")
     median, largest = (57.29578 * figures[name] for name in ("azimuth_median", "azimuth_max"))
