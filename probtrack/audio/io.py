@@ -102,14 +102,16 @@ class Recording:
         low = torch.full((len(self.channels),), math.inf)
         high, clipped, start = -low, torch.zeros_like(low), 0
         for block in self._raw_blocks(self.file_rate):
-            if not block.isfinite().all():
+            smallest, largest = block.amin(1), block.amax(1)  # NaN where a channel has one
+            if not (smallest.isfinite() & largest.isfinite()).all():
                 sample, channel = (~block.isfinite()).t().nonzero()[0].tolist()
                 raise NotFiniteError(
                     f"{self.path}: channel {self.channels[channel] + 1} has a NaN or infinite sample at "
                     f"{(start + sample) / self.file_rate:.3f} s"
                 )
-            low, high = torch.minimum(low, block.amin(1)), torch.maximum(high, block.amax(1))
-            clipped += (block.abs() >= _FULL_SCALE).sum(1)
+            low, high = torch.minimum(low, smallest), torch.maximum(high, largest)
+            if max(-smallest.min(), largest.max()) >= _FULL_SCALE:
+                clipped += (block.abs() >= _FULL_SCALE).sum(1)
             start += block.shape[1]
         return ChannelSurvey(low, high, clipped / self.num_samples)
 
