@@ -211,7 +211,7 @@ def test_a_start_beside_a_microphone(scene, capsys):
 
 
 def test_too_many_particles_for_the_memory(scene, capsys):
-    fails(capsys, run(scene, "--num-particles", "1000000000000"), "not enough memory")
+    fails(capsys, run(scene, "--num-particles", str(10**15)), "not enough memory")
 
 
 def test_an_exponent_that_leaves_nothing_of_any_power_is_never_nan(scene):
