@@ -13,7 +13,6 @@ import torch
 
 from benchmarks.pairs import Row, missing_row, peer, ratio_row
 from probtrack import dynamics
-from probtrack.dynamics import CoordinateUncoupled, Langevin
 from probtrack.filters import Adaptive, ParticleFilter, resampling
 from probtrack.likelihoods import GaussianPosition
 
@@ -102,7 +101,8 @@ def filterpy_loop(systematic_resample: Callable[[Any], Any], num_particles: int)
 
     The same model, noise, threshold and frames as ours in float64, and its mean and standard deviation.
     """
-    motion = CoordinateUncoupled(Langevin(speed=0.7, rate=0.2))  # CU-LAN
+    motion = dynamics.lehmann2007("CU-LAN")
+    assert isinstance(motion, dynamics.CoordinateUncoupled)
     matrix, gain = (x.detach().double().numpy() for x in motion.matrices(_DT))
     seen = observations().double().numpy()
 

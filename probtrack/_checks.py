@@ -20,6 +20,14 @@ def as_positive(value: float | Tensor, name: str) -> Tensor:
     return x
 
 
+def as_non_negative(value: float | Tensor, name: str) -> Tensor:
+    """Return `value` as a float tensor, or raise `InputError` unless it is finite and >= 0."""
+    x = torch.as_tensor(value, dtype=torch.get_default_dtype())
+    if not (torch.isfinite(x) & (x >= 0)).all():
+        raise InputError(f"{name} must be finite and not negative, got {value}")
+    return x
+
+
 def check_int(value: int, name: str, *, low: int) -> int:
     """Return `value`, or raise `InputError` unless it is an integer of at least `low`."""
     if isinstance(value, bool) or not isinstance(value, int) or value < low:

@@ -6,7 +6,7 @@ import torch
 from oracles.joint_gaussian import JointGaussian
 from properties import assert_gradients
 
-from probtrack.dynamics import CoordinateUncoupled, Langevin, lehmann2007
+from probtrack.dynamics import CoordinateUncoupled, DrivenVelocity, TimeCorrelated, euler, lehmann2007
 from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.filters import Gaussian, LinearSystem, kalman_filter, kalman_smoother, position_system
 
@@ -186,7 +186,7 @@ def test_a_gap_is_one_long_step():
 
 @pytest.mark.parametrize("seen", [[True] * 4, [True, False, True, True]])
 def test_evidence_gradients_of_langevin_motion(seen):
-    model, y = CoordinateUncoupled(Langevin(rate=1.5, speed=0.7)), torch.randn(4, 2, 2)
+    model, y = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(rate=1.5, std=0.7), euler)), torch.randn(4, 2, 2)
     observed = torch.tensor(seen)[:, None].expand(4, 2)
 
     def evidence(model, y, std, dt):
@@ -196,7 +196,7 @@ def test_evidence_gradients_of_langevin_motion(seen):
 
 
 def test_smoother_gradients_of_langevin_motion():
-    model, y = CoordinateUncoupled(Langevin(rate=1.5, speed=0.7)), torch.randn(3, 2)
+    model, y = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(rate=1.5, std=0.7), euler)), torch.randn(3, 2)
 
     def smoothed(model, y):
         system = position_system(model, 0.1, 0.2)
@@ -214,9 +214,9 @@ def test_nan_of_a_missing_frame_does_not_reach_the_gradient():
 
 
 def test_maximum_evidence_recovers_langevin_motion():
-    truth = CoordinateUncoupled(Langevin(rate=1.3, speed=0.8))
+    truth = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(rate=1.3, std=0.8), euler))
     y = talker(60, 400, dt=0.25, std=0.05, model=truth)
-    model = CoordinateUncoupled(Langevin(rate=5.0, speed=0.3))
+    model = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(rate=5.0, std=0.3), euler))
     optimiser = torch.optim.LBFGS(model.parameters(), line_search_fn="strong_wolfe", max_iter=20)
 
     def loss():

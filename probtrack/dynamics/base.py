@@ -1,18 +1,24 @@
 """Interface of a motion model, and what the rest of the filter may know of a talker's motion."""
 
 import abc
-from collections.abc import Callable
-from typing import NamedTuple
+import itertools
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import Distribution, Independent, MultivariateNormal, Normal
 
-from probtrack.distributions import LinearGaussian
+from probtrack.distributions import LinearGaussian, Pushforward
 from probtrack.errors import InputError
 
 Transition = Callable[[Tensor, Tensor], Tensor]
 """One step of a motion model, `(state (..., D), noise (..., noise_dim)) -> state (..., D)`."""
+
+
+Move = Callable[[Tensor, Tensor], tuple[Tensor, Tensor | None]]
+"""One step into a frame, `(state, noise) -> (state, log_weight (...))`: the weight corrects for a step drawn from
+another law than the model's, None if it was drawn from the model's own."""
 
 
 class Kinematics(NamedTuple):
@@ -33,7 +39,7 @@ class Kinematics(NamedTuple):
         """Where the talker looks (...) [rad]: the direction of motion unless the model knows better."""
         if self.modelled_heading is not None:
             return self.modelled_heading
-        return torch.atan2(self.velocity[..., 1], self.velocity[..., 0])
+        return direction(self.velocity)
 
 
 class Dynamics(nn.Module, abc.ABC):
@@ -48,6 +54,9 @@ class Dynamics(nn.Module, abc.ABC):
 
     noise_dim: int
     """How many standard normal numbers drive one step of one particle."""
+
+    axes: int
+    """Number of spatial axes A of its kinematics."""
 
     @abc.abstractmethod
     def forward(self, state: Tensor, dt: float | Tensor) -> Distribution:
@@ -72,6 +81,26 @@ class Dynamics(nn.Module, abc.ABC):
 
         return step
 
+    def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:  # noqa: ARG002
+        """Return the step into each frame of `observations` (T, *batch, ...), at least T of them.
+
+        What a filter runs on. A model that listens to the observations, as switching on speech activity does,
+        or draws from another law than its own, overrides this; all others take the same step into every frame.
+        """
+        transition = self.transition(dt)
+        return itertools.repeat(lambda state, noise: (transition(state, noise), None))
+
+    def mode(self, state: Tensor) -> Tensor | None:  # noqa: ARG002
+        """Return which of S models moves each particle, ones and zeros (..., S); None if there is but one."""
+        return None
+
+
+def direction(vector: Tensor) -> Tensor:
+    """Return the angle of `vector` (..., 2 or 3) in the plane [rad]; 0, with zero gradient, of no vector."""
+    x, y = vector[..., 0], vector[..., 1]
+    # atan2 has a NaN gradient at (0, 0)
+    return torch.atan2(y, torch.where((x == 0) & (y == 0), torch.ones((), dtype=x.dtype, device=x.device), x))
+
 
 def driven_by(law: Distribution, noise: Tensor) -> Tensor:
     """Return the sample of `law` that the standard normal `noise` (..., K) stands for.
@@ -79,7 +108,7 @@ def driven_by(law: Distribution, noise: Tensor) -> Tensor:
     Raises:
         InputError: for a law that is not Gaussian; its model must define `transition` itself.
     """
-    if isinstance(law, LinearGaussian):
+    if isinstance(law, LinearGaussian | Pushforward):
         return law.at_noise(noise)
     if isinstance(law, MultivariateNormal):
         return law.loc + (law.scale_tril @ noise[..., None])[..., 0]

@@ -1,171 +1,190 @@
-"""What one coordinate of a talker does between two frames, when the other coordinates play no part."""
+"""How one variable of a talker's motion changes by itself: the scalar processes all of S1's models are made of."""
 
 import abc
-import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from probtrack._checks import as_positive
+from probtrack._checks import as_non_negative, as_positive
+from probtrack.errors import InputError
 
 
-class AxisModel(nn.Module, abc.ABC):
-    """Linear motion of one coordinate, driven by one standard normal number a step.
+class ProcessStep(NamedTuple):
+    """A step of a scalar Gauss-Markov process, value' = decay value + std u with u ~ N(0, 1).
 
-    The state of the coordinate is its position and K - 1 derivatives, s' = matrix s + gain u.
+    Attributes:
+        decay: (...), what is left of the old value.
+        std: (...), in the unit of the value.
     """
 
-    order: int
-    """How many variables K describe the coordinate: 2 for position and velocity."""
+    decay: Tensor
+    std: Tensor
+
+
+class Diffusion(NamedTuple):
+    """The same process in continuous time, d value = -rate value dt + intensity dW.
+
+    Attributes:
+        rate: () [1/s].
+        intensity: () [unit of the value per sqrt(s)].
+    """
+
+    rate: Tensor
+    intensity: Tensor
+
+
+class ScalarProcess(nn.Module, abc.ABC):
+    """Gauss-Markov process of one variable xi: a velocity, a speed, an angle, an acceleration.
+
+    Parameters are rates per second, so that one fit serves every frame rate.
+    """
+
+    unbounded: bool
+    """Whether the value wanders off for ever: an angle may then be wrapped without changing its law."""
+
+    ramps: bool
+    """Whether S1 spreads a change evenly over the step (eq. 17) or lets it come at its start (eq. 18, 20)."""
 
     @abc.abstractmethod
-    def forward(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-        """Return the matrix (..., K, K) and the gain (..., K) of a step of `dt` (...) [s]."""
+    def forward(self, dt: float | Tensor) -> ProcessStep:
+        """Return decay and noise of a step of `dt` (...) [s]."""
+
+    @abc.abstractmethod
+    def diffusion(self) -> Diffusion:
+        """Return the stochastic differential equation that the steps are exact samples of.
+
+        Raises:
+            InputError: for a process that has none.
+        """
 
 
-class RandomWalkVelocity(AxisModel):
-    r"""Velocity that is a random walk, "nearly constant velocity" (CU-RWVE):
+class RandomWalk(ScalarProcess):
+    r"""A value that wanders without ever coming back (RW of S1):
 
-    .. math:: x' = x + T \dot x + \tfrac{T}{2} q\sqrt{T}\,u, \qquad \dot x' = \dot x + q\sqrt{T}\,u .
+    .. math:: \xi' = \xi + q\sqrt{T}\,u, \qquad d\xi = q\,dW .
 
     Args:
-        diffusion: Initial q, the standard deviation of the velocity after one second [m/s per sqrt(s)].
+        diffusion: Initial q, the standard deviation of the value after one second, at least 0 [unit per
+            sqrt(s)]; learnable as `log_diffusion`. A value of 0 is a constant and stays 0 in learning.
 
     Shape:
-        dt: float or (...) [s]. Returns (..., 2, 2) and (..., 2).
+        dt: float or (...) [s]. Returns (...).
 
     References:
-        E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking: preliminary results",
-        report PRJ-NICTA-PM-023, 2007, Eq. 17. There sigma_v is per step and T is not in it; here
-        sigma_v = q sqrt(T), so that the frame rate may change.
+        S1 eq. 9, where sigma is per step: sigma = q sqrt(T).
 
-    >>> matrix, gain = RandomWalkVelocity(diffusion=2.0)(0.25)
-    >>> matrix.tolist(), [round(x, 3) for x in gain.tolist()]
-    ([[1.0, 0.25], [0.0, 1.0]], [0.125, 1.0])
+    >>> RandomWalk(diffusion=2.0)(0.25).std.item()
+    1.0
     """
 
-    order = 2
+    unbounded, ramps = True, True
 
-    def __init__(self, *, diffusion: float) -> None:
+    def __init__(self, diffusion: float) -> None:
         super().__init__()
-        self.log_diffusion = nn.Parameter(as_positive(diffusion, "diffusion").log())
+        self.log_diffusion = nn.Parameter(as_non_negative(diffusion, "diffusion").log())
 
-    def forward(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-        step = _seconds(dt, self.log_diffusion)
-        one = torch.ones_like(step)
-        sigma = self.log_diffusion.exp() * step.sqrt()
-        return _square(one, step, 0 * one, one), torch.stack([step / 2 * sigma, sigma], -1)
+    def forward(self, dt: float | Tensor) -> ProcessStep:
+        step = seconds(dt, self.log_diffusion)
+        return ProcessStep(torch.ones_like(step), self.log_diffusion.exp() * step.sqrt())
+
+    def diffusion(self) -> Diffusion:
+        return Diffusion(torch.zeros_like(self.log_diffusion), self.log_diffusion.exp())
 
     def extra_repr(self) -> str:
-        return f"diffusion={self.log_diffusion.exp().item():.3g} m/s per sqrt(s)"
+        return f"diffusion={self.log_diffusion.exp().item():.3g}"
 
 
-class TimeCorrelatedVelocity(AxisModel):
-    r"""Velocity that forgets itself at a rate beta and has a stationary spread (CU-TCVE):
+class TimeCorrelated(ScalarProcess):
+    r"""A value that forgets itself at a rate beta and has a stationary spread (TC of S1), Ornstein and Uhlenbeck's:
 
     .. math::
-        x' = x + \frac{1 - e^{-\beta T}}{\beta} \dot x + T w, \qquad \dot x' = e^{-\beta T} \dot x + w,
-        \qquad w = \sigma_v \sqrt{1 - e^{-2\beta T}}\,u .
+        \xi' = e^{-\beta T}\xi + \sigma\sqrt{1 - e^{-2\beta T}}\,u, \qquad
+        d\xi = -\beta\xi\,dt + \sigma\sqrt{2\beta}\,dW, \qquad R_\xi(\tau) = \sigma^2 e^{-\beta|\tau|} .
 
     Args:
-        rate: Initial beta [1/s]; 1/beta is how long a manoeuvre lasts.
-        speed: Initial sigma_v, the stationary standard deviation of the velocity [m/s].
+        rate: Initial beta, at least 0 [1/s]; learnable as `log_rate`. 1/beta is how long a manoeuvre lasts.
+            At 0 the value never changes, and the rate stays 0 in learning.
+        std: Initial sigma, the stationary standard deviation, at least 0 [unit of the value]; learnable as
+            `log_std`. At 0 a value decays without noise, and sigma stays 0 in learning.
 
     Shape:
-        dt: float or (...) [s]. Returns (..., 2, 2) and (..., 2).
+        dt: float or (...) [s]. Returns (...).
 
     References:
-        E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking: preliminary results",
-        report PRJ-NICTA-PM-023, 2007, Eq. 18, as printed: one noise enters position and velocity, so that
-        the step has no density (see `LinearGaussian`).
+        S1 eq. 11 and 13.
 
-    >>> matrix, gain = TimeCorrelatedVelocity(rate=2.0, speed=0.7)(0.5)
-    >>> [round(x, 4) for x in (*matrix.flatten().tolist(), *gain.tolist())]
-    [1.0, 0.3161, 0.0, 0.3679, 0.3255, 0.6509]
+    >>> step = TimeCorrelated(rate=2.0, std=0.7)(0.5)
+    >>> round(step.decay.item(), 4), round(step.std.item(), 4)
+    (0.3679, 0.6509)
     """
 
-    order = 2
+    unbounded, ramps = False, False
 
-    def __init__(self, *, rate: float, speed: float) -> None:
+    def __init__(self, rate: float, std: float) -> None:
         super().__init__()
-        self.log_rate = nn.Parameter(as_positive(rate, "rate").log())
-        self.log_speed = nn.Parameter(as_positive(speed, "speed").log())
+        self.log_rate = nn.Parameter(as_non_negative(rate, "rate").log())
+        self.log_std = nn.Parameter(as_non_negative(std, "std").log())
 
-    def forward(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-        step = _seconds(dt, self.log_rate)
-        elapsed = self.log_rate.exp() * step
-        return _velocity_step(self.log_speed, step, elapsed, drift=step * _mean_decay(elapsed))
+    def forward(self, dt: float | Tensor) -> ProcessStep:
+        elapsed = self.log_rate.exp() * seconds(dt, self.log_rate)
+        renewed = -torch.expm1(-2 * elapsed)  # 1 - e^{-2 beta T} without cancellation
+        return ProcessStep(torch.exp(-elapsed), self.log_std.exp() * _root(renewed))
+
+    def diffusion(self) -> Diffusion:
+        rate = self.log_rate.exp()
+        return Diffusion(rate, self.log_std.exp() * _root(2 * rate))
 
     def extra_repr(self) -> str:
-        return f"rate={self.log_rate.exp().item():.3g}/s, speed={self.log_speed.exp().item():.3g} m/s"
+        return f"rate={self.log_rate.exp().item():.3g}/s, std={self.log_std.exp().item():.3g}"
 
 
-class Langevin(AxisModel):
-    r"""Time-correlated velocity whose new value moves the position, an Euler step (CU-LAN):
+class WhiteNoise(ScalarProcess):
+    r"""A value that is new in every step (RA of S1), held for its length:
 
-    .. math:: x' = x + T \dot x', \qquad \dot x' = e^{-\beta T} \dot x + \sigma_v\sqrt{1 - e^{-2\beta T}}\,u .
+    .. math:: \xi' = \frac{s}{\sqrt T}\,u .
+
+    The integral of the value over a second has standard deviation s at every frame rate: what the value
+    drives moves alike however often it is redrawn.
 
     Args:
-        rate: Initial beta [1/s]; 1/beta is how long a manoeuvre lasts.
-        speed: Initial sigma_v, the stationary standard deviation of the velocity [m/s].
+        intensity: Initial s, at least 0 [unit times sqrt(s)]; learnable as `log_intensity`. 0 stays 0.
 
     Shape:
-        dt: float or (...) [s]. Returns (..., 2, 2) and (..., 2).
+        dt: float or (...) [s]. Returns (...).
 
     References:
-        E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking: preliminary results",
-        report PRJ-NICTA-PM-023, 2007, Eq. 21, as printed: one noise enters position and velocity, so that
-        the step has no density (see `LinearGaussian`).
-        J. Vermaak, A. Blake, "Nonlinear filtering for speaker tracking in noisy and reverberant
-        environments", ICASSP 2001, where the model comes from.
+        S1 eq. 29, second row, where sigma is per step: sigma = s / sqrt(T).
 
-    >>> matrix, gain = Langevin(rate=2.0, speed=0.7)(0.5)
-    >>> [round(x, 4) for x in (*matrix.flatten().tolist(), *gain.tolist())]
-    [1.0, 0.1839, 0.0, 0.3679, 0.3255, 0.6509]
+    >>> WhiteNoise(intensity=0.5)(0.25).std.item()
+    1.0
     """
 
-    order = 2
+    unbounded, ramps = False, False
 
-    def __init__(self, *, rate: float, speed: float) -> None:
+    def __init__(self, intensity: float) -> None:
         super().__init__()
-        self.log_rate = nn.Parameter(as_positive(rate, "rate").log())
-        self.log_speed = nn.Parameter(as_positive(speed, "speed").log())
+        self.log_intensity = nn.Parameter(as_non_negative(intensity, "intensity").log())
 
-    def forward(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-        step = _seconds(dt, self.log_rate)
-        elapsed = self.log_rate.exp() * step
-        return _velocity_step(self.log_speed, step, elapsed, drift=step * torch.exp(-elapsed))
+    def forward(self, dt: float | Tensor) -> ProcessStep:
+        step = seconds(dt, self.log_intensity)
+        return ProcessStep(torch.zeros_like(step), self.log_intensity.exp() * step.rsqrt())
+
+    def diffusion(self) -> Diffusion:
+        raise InputError(
+            "WhiteNoise has no value in continuous time and so no exact step: take RandomWalk one derivative lower"
+        )
 
     def extra_repr(self) -> str:
-        return f"rate={self.log_rate.exp().item():.3g}/s, speed={self.log_speed.exp().item():.3g} m/s"
+        return f"intensity={self.log_intensity.exp().item():.3g}"
 
 
-def _velocity_step(log_speed: Tensor, step: Tensor, elapsed: Tensor, *, drift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return matrix and gain of a time-correlated velocity, `elapsed` = beta T, that moves by `drift` [s]."""
-    one = torch.ones_like(elapsed)
-    renewed = -torch.expm1(-2 * elapsed)  # 1 - e^{-2 beta T} without cancellation
-    # The floor is below every normal number: it keeps the gradient of the square root finite at 0.
-    sigma = log_speed.exp() * renewed.clamp_min(torch.finfo(renewed.dtype).tiny).sqrt()
-    return _square(one, drift, 0 * one, torch.exp(-elapsed)), torch.stack([step * sigma, sigma], -1)
-
-
-def _mean_decay(x: Tensor) -> Tensor:
-    """Return (1 - e^-x) / x, the mean of e^-s over 0 < s < x; its Taylor series where x is tiny."""
-    tiny = x < 1e-3
-    # Each branch sees only arguments it can take: 0 / 0 or inf - inf would reach the gradient through `where`.
-    near, far = torch.where(tiny, x, torch.zeros_like(x)), torch.where(tiny, torch.ones_like(x), x)
-    series = 1 - near / 2 * (1 - near / 3 * (1 - near / 4))  # error x^4 / 120
-    return torch.where(tiny, series, -torch.expm1(-far) / far)
-
-
-def _square(*entries: Tensor) -> Tensor:
-    """Return the matrix (..., K, K) of K^2 `entries` (...), row by row."""
-    order = math.isqrt(len(entries))
-    rows = torch.stack(torch.broadcast_tensors(*entries), -1)
-    return rows.reshape(*rows.shape[:-1], order, order)
-
-
-def _seconds(dt: float | Tensor, parameter: Tensor) -> Tensor:
+def seconds(dt: float | Tensor, parameter: Tensor) -> Tensor:
     """Return `dt` as a tensor like `parameter`, or raise `InputError` unless it is finite and > 0."""
     as_positive(dt, "dt")
     return torch.as_tensor(dt, dtype=parameter.dtype, device=parameter.device)
+
+
+def _root(x: Tensor) -> Tensor:
+    """Return sqrt(x); the floor below every normal number keeps its gradient finite at 0."""
+    return x.clamp_min(torch.finfo(x.dtype).tiny).sqrt()

@@ -5,20 +5,20 @@ from torch import Tensor
 
 from probtrack._checks import check_event, check_int
 from probtrack.distributions import LinearGaussian
+from probtrack.dynamics.axis_models import AxisModel
 from probtrack.dynamics.base import Dynamics, Kinematics, Transition
-from probtrack.dynamics.processes import AxisModel
+from probtrack.errors import ShapeError
 
 
 class CoordinateUncoupled(Dynamics):
     r"""Coordinates that move independently, each by the same linear model and with its own noise:
 
-    .. math:: X' = (F \otimes I_A)\,X + (g \otimes I_A)\,u, \qquad u \sim \mathcal{N}(0, I_A) .
+    .. math:: X' = (F \otimes I_A)\,X + (G \otimes I_A)\,u, \qquad u \sim \mathcal{N}(0, I_{JA}) .
 
-    One number drives a coordinate with all its derivatives, so that the step can be sampled but has no
-    density.
+    Whether a step has a density is the axis model's affair: it has one if G has full row rank.
 
     Args:
-        axis_model: What one coordinate does: F (K, K) and g (K,) for a step.
+        axis_model: What one coordinate does: F (K, K) and G (K, J) for a step.
         axes: Number of coordinates A.
 
     Shape:
@@ -26,26 +26,26 @@ class CoordinateUncoupled(Dynamics):
         (...) [s], broadcast with the batch of `state`. Returns batch (...), event (K A,).
 
     References:
-        E. A. Lehmann, A. M. Johansson, "Dynamics models for acoustic speaker tracking: preliminary results",
-        report PRJ-NICTA-PM-023, 2007, Eq. 15, 16: the layout of the state.
+        S1 eq. 15, 16: the layout of the state.
 
-    >>> from probtrack.dynamics import Langevin
-    >>> model = CoordinateUncoupled(Langevin(rate=2.0, speed=0.7))
+    >>> from probtrack.dynamics import DrivenVelocity, TimeCorrelated
+    >>> model = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(rate=2.0, std=0.7)))
     >>> law = model(torch.tensor([1.0, 2.0, 0.5, -0.5]), 0.5)
     >>> [round(x, 3) for x in law.mean.tolist()]
-    [1.092, 1.908, 0.184, -0.184]
+    [1.158, 1.842, 0.184, -0.184]
     """
 
     def __init__(self, axis_model: AxisModel, axes: int = 2) -> None:
         super().__init__()
         self.axis_model = axis_model
-        self.axes = self.noise_dim = check_int(axes, "axes", low=1)
-        self.state_dim = check_int(axis_model.order, "order of the axis model", low=2) * axes
+        self.axes = check_int(axes, "axes", low=1)
+        order, noises = axis_sizes(axis_model)
+        self.state_dim, self.noise_dim = order * axes, noises * axes
 
     def matrices(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
-        """Return F (..., D, D) and G (..., D, A) of the step X' = F X + G u over `dt` (...) [s]."""
+        """Return F (..., D, D) and G (..., D, J A) of the step X' = F X + G u over `dt` (...) [s]."""
         matrix, gain = self.axis_model(dt)
-        return _kron_eye(matrix, self.axes), _kron_eye(gain[..., None], self.axes)
+        return _kron_eye(matrix, self.axes), _kron_eye(gain, self.axes)
 
     def forward(self, state: Tensor, dt: float | Tensor) -> LinearGaussian:
         check_event(state, (self.state_dim,), "state")
@@ -84,6 +84,19 @@ class CoordinateUncoupled(Dynamics):
 
     def extra_repr(self) -> str:
         return f"axes={self.axes}"
+
+
+def axis_sizes(axis_model: AxisModel) -> tuple[int, int]:
+    """Return how many variables K and noise numbers J an axis model has, read off a step of a second."""
+    with torch.no_grad():
+        matrix, gain = axis_model(1.0)
+    order = matrix.shape[-1] if matrix.ndim else 0
+    if order < 2 or matrix.shape != (order, order) or gain.ndim != 2 or gain.shape[0] != order:
+        raise ShapeError(
+            "an axis model must return a matrix (K, K) and a gain (K, J) with K at least 2, "
+            f"got {tuple(matrix.shape)} and {tuple(gain.shape)}"
+        )
+    return order, gain.shape[-1]
 
 
 def _kron_eye(matrix: Tensor, size: int) -> Tensor:
