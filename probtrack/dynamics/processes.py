@@ -186,5 +186,6 @@ def seconds(dt: float | Tensor, parameter: Tensor) -> Tensor:
 
 
 def _root(x: Tensor) -> Tensor:
-    """Return sqrt(x); the floor below every normal number keeps its gradient finite at 0."""
-    return x.clamp_min(torch.finfo(x.dtype).tiny).sqrt()
+    """Return sqrt(x) of x >= 0, with a gradient of zero, not infinity, where x is zero."""
+    zero = x == 0
+    return torch.where(zero, x, torch.where(zero, 1.0, x).sqrt())
