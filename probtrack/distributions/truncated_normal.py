@@ -140,7 +140,7 @@ class TruncatedNormal(Distribution):
         return self.icdf(uniform)
 
     def _mass(self, low: Tensor, high: Tensor) -> Tensor:
-        """Return the integral over [low, high], in units of scale, of a density that is 1 at the point nearest to loc."""
+        """Return the integral over [low, high], in units of scale, of a density of 1 at the point nearest to loc."""
         nearest = _nearest(self.loc, low, high)
         inside = nearest == self.loc
         below, above = (nearest - low) / self.scale, (high - nearest) / self.scale
@@ -163,7 +163,7 @@ class TruncatedNormal(Distribution):
         mode = self.mode
         lower = torch.where(mode > self.low, self._mass(self.low, mode) / total, 0)
         lower = torch.where(mode < self.high, lower, 1)
-        is_below = probability < lower
+        is_below = (probability < lower) | (lower == 1)
         share = torch.where(is_below, lower, 1 - lower)
         beyond = torch.where(is_below, probability, 1 - probability) / share
         within = torch.where(is_below, lower - probability, probability - lower) / share
@@ -218,4 +218,4 @@ def _solve_tail(slope: Tensor, width: Tensor, within: Tensor, beyond: Tensor) ->
         narrow = narrow + (goal - integral(narrow)) * torch.exp(narrow * (slope + 0.5 * narrow))
         log_tail = -wide * (slope + 0.5 * wide) + (mills(slope + wide) / mills(slope)).log()
         wide = wide + (log_tail - wide_goal) * mills(slope + wide)
-    return torch.where(drop < 1, narrow, wide)
+    return torch.where(beyond == 0, width, torch.where(drop < 1, narrow, wide))
