@@ -99,11 +99,12 @@ class WrappedNormal(Distribution):
 def wrap(angle: Tensor) -> Tensor:
     """Return `angle` in [-pi, pi), with gradient 1 everywhere.
 
-    It is `probtrack.geometry.wrap_angle`, which densities, below geometry, cannot import.
+    It is `probtrack.geometry.wrap_angle`, which densities, below geometry, cannot import, and leaves an
+    angle that is in [-pi, pi) as it is, to the last bit.
     """
     with torch.no_grad():
-        wrapped = torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
-        wrapped = torch.where(wrapped >= math.pi, -math.pi, wrapped)
+        wrapped = angle - 2 * math.pi * torch.floor((angle + math.pi) / (2 * math.pi))
+        wrapped = torch.where((wrapped < -math.pi) | (wrapped >= math.pi), -math.pi, wrapped)  # if rounded out
     return wrapped + (angle - angle.detach())
 
 
