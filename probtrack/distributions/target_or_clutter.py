@@ -4,7 +4,7 @@ from typing import cast
 
 import torch
 from torch import Tensor
-from torch.distributions import Distribution, constraints
+from torch.distributions import Distribution, Independent, constraints
 from torch.nn.functional import logsigmoid
 from torch.types import _size
 
@@ -87,7 +87,7 @@ class TargetOrClutter(Distribution):
     def sample(self, sample_shape: _size = torch.Size()) -> Tensor:  # noqa: B008
         with torch.no_grad():
             target, clutter = self.target.sample(sample_shape), self.clutter.sample(sample_shape)
-            q = self.logit_clutter.sigmoid().expand(*sample_shape, *self.batch_shape)
+            q = self.logit_clutter.sigmoid().expand(torch.Size((*sample_shape, *self.batch_shape)))
             return torch.where(self._over_event(torch.rand_like(q) < q), clutter, target)
 
     def _over_event(self, x: Tensor) -> Tensor:
@@ -110,7 +110,11 @@ class EitherSupport(constraints.Constraint):
 def unchecked(law: Distribution, batch: _size) -> Distribution:
     """Return a copy of `law` over `batch` that takes values outside its support."""
     copy: Distribution = law.expand(torch.Size(batch))
-    copy._validate_args = False
+    inner = copy
+    inner._validate_args = False
+    while isinstance(inner, Independent):
+        inner = inner.base_dist
+        inner._validate_args = False
     return copy
 
 
