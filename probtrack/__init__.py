@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from probtrack import metrics as metrics
     from probtrack import plotting as plotting
     from probtrack import simulation as simulation
+    from probtrack import switching as switching
     from probtrack import track_files as track_files
     from probtrack import trackers as trackers
     from probtrack import tracks as tracks
@@ -31,7 +32,7 @@ __version__ = "0.1.0"
 
 _ROOMS = (
     "audio", "distributions", "dynamics", "errors", "filters", "geometry", "likelihoods",
-    "metrics", "plotting", "simulation", "track_files", "trackers", "tracks",
+    "metrics", "plotting", "simulation", "switching", "track_files", "trackers", "tracks",
 )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ class Track(NamedTuple):
         azimuth: Mean direction from the array's centre (T, *batch) [rad], if the filter has an origin.
         std_azimuth: Circular standard deviation of the direction (T, *batch) [rad], likewise.
         speech: P(speech) (T, *batch), where there was audio.
+        mode: Probability of each of S motion models (T, *batch, S), if the filter switches between some.
     """
 
     time: Tensor
@@ -35,6 +36,7 @@ class Track(NamedTuple):
     azimuth: Tensor | None = None
     std_azimuth: Tensor | None = None
     speech: Tensor | None = None
+    mode: Tensor | None = None
 
     @property
     def num_frames(self) -> int:

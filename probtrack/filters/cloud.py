@@ -33,7 +33,8 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
     log_weight, lost = _stacked(clouds.log_weight), _stacked(clouds.lost)
     weight = log_weight.exp()  # (T, *batch, N)
     # states lie in memory variables first: stacked like that, and turned without a copy
-    kinematics = dynamics.kinematics(_stacked([state.movedim(-1, 0) for state in clouds.state]).movedim(1, -1))
+    states = _stacked([state.movedim(-1, 0) for state in clouds.state]).movedim(1, -1)
+    kinematics, mode = dynamics.kinematics(states), dynamics.mode(states)
     mean = _mean(weight, kinematics.position)
     variance = _mean(weight, (kinematics.position - mean[..., None, :]).square_())
     if kinematics.modelled_heading is None:
@@ -56,6 +57,7 @@ def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
         lost=lost,
         azimuth=azimuth,
         std_azimuth=std_azimuth,
+        mode=None if mode is None else _mean(weight, mode),
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from probtrack._checks import check_event, check_int
-from probtrack.dynamics import Dynamics, Kinematics, Transition
+from probtrack.dynamics import Dynamics, Kinematics, Move
 from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.filters.cloud import Clouds, summary
 from probtrack.filters.noise import NoiseStream
@@ -130,10 +130,10 @@ class ParticleFilter(nn.Module):
         frames_at_once = max(1, _CHUNK // max(1, belief.log_weight.numel()))
         pieces = []
         state, log_weight = belief.state, belief.log_weight
-        transition = self.dynamics.transition(dt)
+        moves = iter(self.dynamics.moves(observations, dt))
         for start in range(0, len(prepared), frames_at_once):
             frames = prepared[start : start + frames_at_once]
-            state, log_weight, clouds = self._run(state, log_weight, frames, transition, noise)
+            state, log_weight, clouds = self._run(state, log_weight, frames, moves, noise)
             pieces.append(summary(clouds, self.dynamics, self.origin))
         track = join(pieces)
         time = dt * torch.arange(track.num_frames, dtype=state.dtype, device=state.device)
@@ -141,17 +141,19 @@ class ParticleFilter(nn.Module):
         return Belief(state, log_weight, evidence), track._replace(time=time)
 
     def _run(
-        self, state: Tensor, log_weight: Tensor, frames: Sequence[Any], transition: Transition, noise: NoiseStream
+        self, state: Tensor, log_weight: Tensor, frames: Sequence[Any], moves: Iterator[Move], noise: NoiseStream
     ) -> tuple[Tensor, Tensor, Clouds]:
         """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one."""
         # looked up once: nn.Module finds its parts slowly, and this loop is the whole cost of a small filter
         likelihood, kinematics, resample = self.likelihood, self.dynamics.kinematics, self.resample
         none_lost = torch.zeros(log_weight.shape[:-1], dtype=torch.bool, device=log_weight.device)
         clouds = Clouds([], [], [], [])
-        for observation in frames:
+        for observation, move in zip(frames, moves, strict=False):  # there may be more moves than frames
             normal, uniform = noise.frame()
-            state = transition(state, normal)  # step 1, prediction
+            state, correction = move(state, normal)  # step 1, prediction
             joint = log_weight + likelihood(observation, kinematics(state))  # step 2, update
+            if correction is not None:
+                joint = joint + correction
             before, log_weight, lost = log_weight, torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
             first = log_weight[..., 0]

@@ -1,0 +1,146 @@
+"""Which way of moving follows which: a Markov chain with learnable probabilities."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from probtrack._checks import as_positive
+from probtrack.errors import InputError, ShapeError
+
+Table = Tensor | Sequence[Sequence[float]]
+
+
+class MarkovChain(nn.Module):
+    r"""Markov chain over S modes, s_t ~ P(s_t | s_{t-1}), whose transitions may listen to speech:
+
+    .. math:: P_t = \alpha_t P^{\text{speech}} + (1 - \alpha_t) P^{\text{silence}} ,
+
+    with alpha the probability of speech in frame t. Without a matrix for silence the chain does not listen.
+
+    The probabilities are those of a step of `dt`. Over n + r such steps, 0 <= r < 1, the chain moves by
+    P^n (I + r (P - I)): by powers where steps are whole, and in between so that modes are left as often per
+    second as at `dt`. That is a stochastic matrix for every P and every time step.
+
+    Args:
+        initial: Initial probabilities of the mode in the first frame (S,); learnable as `logit_initial`.
+        transition: Initial P (S, S), row i the law of what follows mode i; learnable as `logit_transition`.
+        silence: The same while nobody speaks, if the chain listens (`transition` is then that of speech);
+            learnable as `logit_silence`.
+        dt: Time step that the matrices are for [s].
+
+    A probability of 0 stays 0 in learning.
+
+    Raises:
+        ShapeError: for a matrix of another shape.
+        InputError: for probabilities that are negative or do not sum to 1.
+
+    References:
+        S1 section 3.3 and Figure 2; eq. 32 is the chain whose rows are all (P_1, 1 - P_1).
+
+    >>> chain = MarkovChain([0.5, 0.5], [[0.9, 0.1], [0.2, 0.8]], dt=0.032)
+    >>> [[round(p, 3) for p in row] for row in chain(0.064).exp().tolist()]  # two steps; the last row is the start
+    [[0.83, 0.17], [0.34, 0.66], [0.5, 0.5]]
+    """
+
+    def __init__(
+        self, initial: Tensor | Sequence[float], transition: Table, *, silence: Table | None = None, dt: float = 0.032
+    ) -> None:
+        super().__init__()
+        first = _probabilities(initial, "initial")
+        if first.ndim != 1 or len(first) < 1:
+            raise ShapeError(f"initial must have shape (S,), got {tuple(first.shape)}")
+        self.num_modes = len(first)
+        self.dt = float(as_positive(dt, "dt"))
+        self.logit_initial = nn.Parameter(first.log())
+        self.logit_transition = nn.Parameter(self._matrix(transition, "transition").log())
+        self.logit_silence = None if silence is None else nn.Parameter(self._matrix(silence, "silence").log())
+
+    @classmethod
+    def dwelling(cls, times: Sequence[float], *, dt: float = 0.032) -> "MarkovChain":
+        """Return the chain that stays in mode i for `times[i]` [s] on average and then takes any other alike.
+
+        The first mode is drawn as the chain finds itself in the long run.
+        """
+        mean = as_positive(torch.tensor(times), "times")
+        size = len(mean)
+        if size < 2:
+            raise InputError(f"times must be of at least 2 modes, got {size}")
+        stay = torch.exp(-dt / mean)
+        leave = ((1 - stay) / (size - 1))[:, None].expand(size, size)
+        transition = torch.where(torch.eye(size, dtype=torch.bool), torch.diag(stay), leave)
+        long_run = 1 / (1 - stay)
+        return cls(long_run / long_run.sum(), transition, dt=dt)
+
+    @property
+    def listens(self) -> bool:
+        """Whether transitions depend on speech activity."""
+        return self.logit_silence is not None
+
+    def forward(self, dt: float, speech: Tensor | None = None) -> Tensor:
+        """Return log P(mode | mode before) over `dt` [s], (*speech's shape, S + 1, S).
+
+        Row i < S is of mode i before; the last row is of the start, when there was none.
+
+        Args:
+            dt: Time step [s], a number.
+            speech: Probability of speech in each frame (...); only if the chain listens.
+
+        Raises:
+            InputError: for a time step that is not positive, or no speech for a chain that listens.
+        """
+        steps = float(as_positive(dt, "dt")) / self.dt
+        matrix = _over(self.logit_transition.softmax(-1), steps)
+        if self.logit_silence is not None:
+            if speech is None:
+                raise InputError("speech must be given to a chain that listens to it, got None")
+            if not ((speech >= 0) & (speech <= 1)).all():
+                raise InputError("speech must be a probability in [0, 1]")
+            share = speech.to(matrix)[..., None, None]
+            matrix = share * matrix + (1 - share) * _over(self.logit_silence.softmax(-1), steps)
+        start = self.logit_initial.softmax(-1).expand(*matrix.shape[:-2], 1, -1)
+        return _log(torch.cat([matrix, start], -2))
+
+    def _matrix(self, table: Table, name: str) -> Tensor:
+        matrix = _probabilities(table, name)
+        if matrix.shape != (self.num_modes, self.num_modes):
+            raise ShapeError(f"{name} must have shape ({self.num_modes}, {self.num_modes}), got {tuple(matrix.shape)}")
+        return matrix
+
+    def extra_repr(self) -> str:
+        names = {"initial": self.logit_initial, "transition": self.logit_transition, "silence": self.logit_silence}
+        shown = [f"{name}={_rounded(logit.softmax(-1).tolist())}" for name, logit in names.items() if logit is not None]
+        return ", ".join([*shown, f"dt={self.dt:g} s"])
+
+
+def _over(matrix: Tensor, steps: float) -> Tensor:
+    """Return P^n (I + r (P - I)) of P = `matrix` (S, S), n + r = `steps`."""
+    whole = round(steps) if math.isclose(steps, round(steps), rel_tol=1e-9) else math.floor(steps)
+    part = max(steps - whole, 0.0)  # a quotient of floats may miss a whole number
+    moved: Tensor = torch.linalg.matrix_power(matrix, whole)
+    return moved @ torch.lerp(torch.eye(len(matrix)).to(matrix), matrix, part) if part > 1e-9 * steps else moved
+
+
+def _log(p: Tensor) -> Tensor:
+    """Return log p, -inf at 0, with a gradient that is 0 there: that of log is infinite."""
+    possible = p > 0
+    return torch.where(possible, torch.where(possible, p, 1.0).log(), -torch.inf)
+
+
+def _probabilities(table: Tensor | Sequence[object], name: str) -> Tensor:
+    """Return `table` (..., S) as floats, or raise `InputError` unless rows are probabilities that sum to 1."""
+    try:
+        p = torch.as_tensor(table, dtype=torch.get_default_dtype())
+    except (ValueError, TypeError):
+        raise ShapeError(f"{name} must be a table of numbers with rows of one length, got {table}") from None
+    if not (torch.isfinite(p) & (p >= 0)).all():
+        raise InputError(f"{name} must be finite and not negative, got {p.tolist()}")
+    total = p.sum(-1)
+    if not torch.allclose(total, torch.ones_like(total), rtol=0, atol=1e-5):
+        raise InputError(f"{name} must have rows that sum to 1, got sums {_rounded(total.tolist())}")
+    return p / total[..., None]
+
+
+def _rounded(values: object) -> object:
+    return [_rounded(v) for v in values] if isinstance(values, list) else float(f"{values:.3g}")
