@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,10 @@ COLUMNS = (
     "time", "track", "x", "y", "z", "std_x", "std_y", "std_z", "azimuth", "std_azimuth", "heading", "speech", "ess",
     "lost",
 )  # fmt: skip
-"""Columns of a table in their order [s, m, rad]; a file has those that are known, and `time` always."""
+"""Columns of a table in their order [s, m, rad]; a file has those that are known, and `time` always.
+
+The probabilities of the motion models of a track that switches follow as mode_0, mode_1, and so on.
+"""
 
 SUFFIXES = (".csv", ".jsonl", ".parquet")
 """Kinds of file, by suffix."""
@@ -30,6 +34,7 @@ SUFFIXES = (".csv", ".jsonl", ".parquet")
 Row = dict[str, float | None]
 
 _WHOLE = ("track", "lost")  # columns of integers
+_MODE = re.compile(r"mode_\d+")
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,9 @@ def rows_of(track: Track, name: int = 1) -> list[Row]:
         "ess": track.ess,
         "lost": track.lost,
     }
-    names = [column for column in COLUMNS if known.get(column) is not None]
+    if track.mode is not None:
+        known |= {f"mode_{s}": column for s, column in enumerate(track.mode.unbind(-1))}
+    names = sorted((name for name, column in known.items() if column is not None), key=_place)
     table = torch.stack([known[column].detach().double() for column in names], -1).tolist()  # type: ignore[union-attr]
     return [dict(zip(names, values, strict=True)) for values in table]
 
@@ -219,6 +226,15 @@ def _cell(name: str, value: float | None) -> float | None:
     return int(value) if name in _WHOLE else round(value, 6)
 
 
+def _is_known(name: str) -> bool:
+    return name in COLUMNS or _MODE.fullmatch(name) is not None
+
+
+def _place(name: str) -> tuple[int, int]:
+    """Return what sorts columns: those of `COLUMNS`, then the modes by their number."""
+    return (COLUMNS.index(name), 0) if name in COLUMNS else (len(COLUMNS), int(name.removeprefix("mode_")))
+
+
 def _kind(path: Path) -> str:
     return check_suffix(path, "a track file", SUFFIXES)
 
@@ -234,7 +250,7 @@ def _read_csv(path: Path) -> dict[str, Tensor]:
 
 
 def _read_jsonl(path: Path) -> dict[str, Tensor]:
-    rows, names = [], dict.fromkeys(COLUMNS)
+    rows = []
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -249,7 +265,7 @@ def _read_jsonl(path: Path) -> dict[str, Tensor]:
         if not isinstance(row, dict):
             raise InputError(f"{path}:{number}: expected a JSON object a line")
         rows.append((number, row))
-    header = [name for name in names if any(name in row for _, row in rows)]
+    header = list(dict.fromkeys(name for _, row in rows for name in row if _is_known(name)))
     return _columns(path, header, ((number, [row.get(name) for name in header]) for number, row in rows))
 
 
@@ -266,7 +282,7 @@ def _read_parquet(path: Path) -> dict[str, Tensor]:
 
 def _columns(path: Path, header: Sequence[str], rows: Iterable[tuple[int, Sequence[Any]]]) -> dict[str, Tensor]:
     """Return the known columns of `rows`, (line number, cells) each."""
-    picked = [(i, name.strip()) for i, name in enumerate(header) if name.strip() in COLUMNS]
+    picked = [(i, name.strip()) for i, name in enumerate(header) if _is_known(name.strip())]
     names = [name for _, name in picked]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

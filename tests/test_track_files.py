@@ -79,6 +79,14 @@ def test_columns_stand_in_the_order_of_the_design(tmp_path):
 
 
 @each_kind
+def test_modes_follow_the_other_columns_by_number(tmp_path, suffix):
+    mode = torch.rand(7, 11)
+    table = read_track(write(tmp_path / f"t{suffix}", rows_of(track(mode=mode))))
+    assert list(table.columns)[-12:] == ["lost", *(f"mode_{s}" for s in range(11))]
+    torch.testing.assert_close(table.get("mode_10"), mode[:, 10], rtol=0, atol=0.5001e-6)
+
+
+@each_kind
 def test_unknown_columns_are_left_out(tmp_path, suffix):
     table = read_track(write(tmp_path / f"t{suffix}", rows_of(track())))
     for name in ("azimuth", "std_azimuth", "speech", "z", "std_z"):

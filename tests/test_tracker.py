@@ -1,6 +1,7 @@
 """The tracker of S1 on a small scene without echoes, whole, in pieces and in batches."""
 
 import math
+from typing import get_args
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.geometry import MicrophoneArray, Region
 from probtrack.simulation import ShoeboxRoom, add_noise, smooth_path
 from probtrack.trackers import lehmann2007
+from probtrack.trackers.lehmann2007 import Model
 from probtrack.tracks import join
 
 FS, HOP, LENGTH, SECONDS = 16_000, 256, 512, 3.0
@@ -48,7 +50,7 @@ def tracker(**settings):
     return lehmann2007(plane(), REGION, **settings)
 
 
-@pytest.mark.parametrize("model", ["CU-LAN", "CU-LAN-ORIG", "CU-TCVE"])
+@pytest.mark.parametrize("model", ["CU-LAN", "CU-LAN-ORIG", "CU-TCVE", "CU-TCAC", "speech-silence"])
 @torch.no_grad()
 def test_follows_a_walk_in_the_plane(walk, model):
     samples, truth = walk
@@ -207,6 +209,32 @@ def test_float32_track():
 
 
 NAN = math.nan
+
+
+@pytest.mark.parametrize("model", get_args(Model))
+@pytest.mark.parametrize("three_d", [False, True])
+@torch.no_grad()
+def test_every_model_gives_a_track(walk, model, three_d):
+    array = MicrophoneArray(SPACE if three_d else PLANE)
+    made = lehmann2007(array, REGION, model, num_particles=40, three_d=three_d)
+    samples = walk[0].repeat(2, 1)[: len(array.positions), :8000]
+    track = made(samples, torch.arange(2))
+    assert track.position.shape == (30, 2, 3 if three_d else 2)
+    assert torch.isfinite(track.position).all()
+    assert torch.isfinite(track.heading).all()
+
+
+@torch.no_grad()
+def test_modes_follow_speech(walk):
+    samples, truth = walk
+    track = tracker(model="speech-silence", num_particles=100)(samples, torch.arange(2), truth[0, :2])
+    torch.testing.assert_close(track.mode.sum(-1), torch.ones(track.mode.shape[:-1]))
+    # the chain says 95 % of what the detector says; the rest is the likelihood's
+    expected = 0.05 + 0.9 * track.speech
+    assert (track.mode[..., 0] - expected).abs().mean() < 0.1
+    assert track.speech.min() < 0.1 < 0.9 < track.speech.max()
+
+
 IMPOSSIBLE = [
     ({"num_particles": 0}, "num_particles must be an integer of at least 1, got 0"),
     ({"num_particles": 7.5}, "num_particles"),
@@ -224,7 +252,7 @@ IMPOSSIBLE = [
     ({"band_high": 9000.0}, "band must satisfy"),
     ({"band_high": NAN}, "band must satisfy"),
     ({"band_low": 301.0, "band_high": 302.0}, "band from 301 to 302 Hz holds no bin"),
-    ({"model": "CU-WALK"}, "model must be one of CU-LAN, CU-LAN-ORIG, CU-RWVE, CU-TCVE, got 'CU-WALK'"),
+    ({"model": "CU-WALK"}, "model must be one of CU-RWVE, .*CL-TCVE-TCAC, .*moving-stopped, got 'CU-WALK'"),
     ({"vad": "ear"}, "vad must be 'energy' or 'silero', got 'ear'"),
     ({"resample": "bootstrap"}, "resample must be one of systematic, .* got 'bootstrap'"),
     ({"vad_threshold": NAN}, "vad_threshold must be finite, got nan"),

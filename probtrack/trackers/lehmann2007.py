@@ -3,7 +3,7 @@
 import math
 from typing import Literal, get_args
 
-from probtrack import dynamics
+from probtrack import dynamics, switching
 from probtrack._checks import as_positive
 from probtrack.audio import (
     EnergyVoiceActivity,
@@ -20,7 +20,7 @@ from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region
 from probtrack.likelihoods import SteeredPowerLikelihood
 from probtrack.trackers.tracker import Tracker
 
-Model = Literal["CU-LAN", "CU-LAN-ORIG", "CU-RWVE", "CU-TCVE"]
+Model = Literal[dynamics.Lehmann2007Model, "speech-silence", "teleconference", "odas", "moving-stopped"]
 Scheme = Literal["systematic", "stratified", "multinomial", "residual"]
 Detector = Literal["energy", "silero"]
 
@@ -60,7 +60,7 @@ def lehmann2007(
         array: The microphones.
         region: Where the talker can be [m]; its z range, if it has one, matters in 3-D only, but must hold
             the height that is tracked.
-        model: Motion model, by its name in the paper's Table 1.
+        model: Motion model, by its name in the paper's Table 1, or a model that switches between several.
         num_particles: Particles N. The paper has 75, begun around the talker; from anywhere it takes some hundred
             to find one.
         threshold: Resample when the effective sample size is below this share of N.
@@ -113,13 +113,18 @@ def lehmann2007(
     if resample not in _SCHEMES:
         raise InputError(f"resample must be one of {', '.join(_SCHEMES)}, got {resample!r}")
     particle_filter = ParticleFilter(
-        dynamics.lehmann2007(model, axes=where.axes),
+        _motion(model, where.axes),
         SteeredPowerLikelihood(power, where, exponent=exponent, keep_out=keep_out),
         num_particles=num_particles,
         resample=Adaptive(_SCHEMES[resample], threshold),
         origin=array.centre,
     )
     return Tracker(FrontEnd(stft, gcc, detector), particle_filter, where, fs=fs)
+
+
+def _motion(model: str, axes: int) -> dynamics.Dynamics:
+    make = switching.PRESETS.get(model)
+    return dynamics.lehmann2007(model, axes) if make is None else make(axes)
 
 
 def _height(array: MicrophoneArray, region: Region, height: float | None, three_d: bool) -> float | None:
