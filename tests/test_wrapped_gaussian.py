@@ -64,13 +64,13 @@ def test_whole_turns_do_not_count(turns):
 
 def test_other_variables_are_as_they_were():
     law = law_of(0.5)
-    noise = torch.randn(200, 3)
+    noise = 8 * torch.randn(200, 3)  # so that the others are beyond pi too
     value, before = law.at_noise(noise), law.base.at_noise(noise)
     assert torch.equal(value[:, [0, 2]], before[:, [0, 2]])
     turns = (before - value)[:, 1] / TURN
     torch.testing.assert_close(turns, turns.round())
     assert ((value[:, 1] >= -math.pi) & (value[:, 1] < math.pi)).all()
-    assert turns.round().unique().tolist() == [0, 1]
+    assert turns.round().unique().numel() > 2
 
 
 def test_moments_are_those_before_wrapping():
