@@ -65,7 +65,8 @@ class WithHeading(Dynamics):
         def step(state: Tensor, noise: Tensor) -> Tensor:
             moved = move(state[..., :size], noise[..., :noises])
             head, numbers = state[..., size:], noise[..., noises:]
-            if matrix.ndim == 2 and state.shape[:-1] == noise.shape[:-1] and state.ndim > 1:
+            shared = matrix.ndim == gain.ndim == 2  # one step for all, whatever their dt
+            if shared and state.shape[:-1] == noise.shape[:-1] and state.ndim > 1:
                 turned = _rows(matrix, head) + _rows(gain, numbers)  # variables first, as clouds lie in memory
             else:
                 turned = (matrix @ head[..., None] + gain @ numbers[..., None])[..., 0].movedim(-1, 0)
