@@ -11,6 +11,8 @@ from probtrack.errors import InputError, ShapeError
 
 Table = Tensor | Sequence[Sequence[float]]
 
+_ROUNDING = 1e-6
+
 
 class MarkovChain(nn.Module):
     r"""Markov chain over S modes, s_t ~ P(s_t | s_{t-1}), whose transitions may listen to speech:
@@ -52,7 +54,7 @@ class MarkovChain(nn.Module):
         if first.ndim != 1 or len(first) < 1:
             raise ShapeError(f"initial must have shape (S,), got {tuple(first.shape)}")
         self.num_modes = len(first)
-        self.dt = float(as_positive(dt, "dt"))
+        self.dt = one_time_step(dt)
         self.logit_initial = nn.Parameter(first.log())
         self.logit_transition = nn.Parameter(self._matrix(transition, "transition").log())
         self.logit_silence = None if silence is None else nn.Parameter(self._matrix(silence, "silence").log())
@@ -62,16 +64,20 @@ class MarkovChain(nn.Module):
         """Return the chain that stays in mode i for `times[i]` [s] on average and then takes any other alike.
 
         The first mode is drawn as the chain finds itself in the long run.
+
+        Raises:
+            ShapeError: unless there are times of at least 2 modes.
+            InputError: for a time that is shorter than `dt`: no mode can be left within a frame.
         """
-        mean = as_positive(torch.tensor(times), "times")
-        size = len(mean)
-        if size < 2:
-            raise InputError(f"times must be of at least 2 modes, got {size}")
-        stay = torch.exp(-dt / mean)
-        leave = ((1 - stay) / (size - 1))[:, None].expand(size, size)
-        transition = torch.where(torch.eye(size, dtype=torch.bool), torch.diag(stay), leave)
-        long_run = 1 / (1 - stay)
-        return cls(long_run / long_run.sum(), transition, dt=dt)
+        step, mean = one_time_step(dt), as_positive(torch.as_tensor(times), "times")
+        if mean.ndim != 1 or len(mean) < 2:
+            raise ShapeError(f"times must have shape (S,) with S at least 2, got {tuple(mean.shape)}")
+        if not (mean >= step).all():
+            raise InputError(f"times must be at least dt = {step:g} s, got {_rounded(mean.tolist())}")
+        leave = step / mean  # of a geometric number of frames, whose mean is times / dt
+        elsewhere = (leave / (len(mean) - 1))[:, None].expand(len(mean), len(mean))
+        transition = torch.where(torch.eye(len(mean), dtype=torch.bool), torch.diag(1 - leave), elsewhere)
+        return cls(mean / mean.sum(), transition, dt=dt)
 
     @property
     def listens(self) -> bool:
@@ -90,13 +96,14 @@ class MarkovChain(nn.Module):
         Raises:
             InputError: for a time step that is not positive, or no speech for a chain that listens.
         """
-        steps = float(as_positive(dt, "dt")) / self.dt
+        steps = one_time_step(dt) / self.dt
         matrix = _over(self.logit_transition.softmax(-1), steps)
         if self.logit_silence is not None:
             if speech is None:
                 raise InputError("speech must be given to a chain that listens to it, got None")
             if not ((speech >= 0) & (speech <= 1)).all():
-                raise InputError("speech must be a probability in [0, 1]")
+                low, high = speech.min().item(), speech.max().item()
+                raise InputError(f"speech must be a probability in [0, 1], got values from {low:g} to {high:g}")
             share = speech.to(matrix)[..., None, None]
             matrix = share * matrix + (1 - share) * _over(self.logit_silence.softmax(-1), steps)
         start = self.logit_initial.softmax(-1).expand(*matrix.shape[:-2], 1, -1)
@@ -114,12 +121,21 @@ class MarkovChain(nn.Module):
         return ", ".join([*shown, f"dt={self.dt:g} s"])
 
 
+def one_time_step(dt: float | Tensor) -> float:
+    """Return `dt` as a number, not rounded, or raise `InputError` unless it is one, finite and > 0."""
+    if isinstance(dt, Tensor) and dt.ndim > 0:
+        raise InputError(f"dt must be one number for a chain, got shape {tuple(dt.shape)}")
+    as_positive(dt, "dt")
+    return float(dt)
+
+
 def _over(matrix: Tensor, steps: float) -> Tensor:
     """Return P^n (I + r (P - I)) of P = `matrix` (S, S), n + r = `steps`."""
-    whole = round(steps) if math.isclose(steps, round(steps), rel_tol=1e-9) else math.floor(steps)
-    part = max(steps - whole, 0.0)  # a quotient of floats may miss a whole number
+    # a quotient of floats, of time steps that may have been float32, misses a whole number
+    whole = round(steps) if math.isclose(steps, round(steps), rel_tol=_ROUNDING) else math.floor(steps)
+    part = max(steps - whole, 0.0)
     moved: Tensor = torch.linalg.matrix_power(matrix, whole)
-    return moved @ torch.lerp(torch.eye(len(matrix)).to(matrix), matrix, part) if part > 1e-9 * steps else moved
+    return moved @ torch.lerp(torch.eye(len(matrix)).to(matrix), matrix, part) if part > _ROUNDING * steps else moved
 
 
 def _log(p: Tensor) -> Tensor:
@@ -136,6 +152,8 @@ def _probabilities(table: Tensor | Sequence[object], name: str) -> Tensor:
         raise ShapeError(f"{name} must be a table of numbers with rows of one length, got {table}") from None
     if not (torch.isfinite(p) & (p >= 0)).all():
         raise InputError(f"{name} must be finite and not negative, got {p.tolist()}")
+    if p.ndim == 0:
+        raise ShapeError(f"{name} must be a table of numbers, got {p.item()}")
     total = p.sum(-1)
     if not torch.allclose(total, torch.ones_like(total), rtol=0, atol=1e-5):
         raise InputError(f"{name} must have rows that sum to 1, got sums {_rounded(total.tolist())}")

@@ -11,7 +11,7 @@ from probtrack._checks import check_event
 from probtrack.distributions import Switched
 from probtrack.dynamics import Dynamics, Kinematics, Move, Transition
 from probtrack.errors import InputError
-from probtrack.switching.chain import MarkovChain
+from probtrack.switching.chain import MarkovChain, one_time_step
 
 
 class SwitchingDynamics(Dynamics):
@@ -74,7 +74,7 @@ class SwitchingDynamics(Dynamics):
         """
         check_event(state, (self.state_dim,), "state")
         before = state[..., -1].long()
-        rows = self.chain(_number(dt))[before]
+        rows = self.chain(one_time_step(dt))[before]
         layout = self._layout(before)
         flat, of = _flat(state[..., :-1]), layout.flatten()
         laws = []
@@ -84,8 +84,8 @@ class SwitchingDynamics(Dynamics):
         return Switched(rows, laws)
 
     def transition(self, dt: float | Tensor) -> Transition:
-        """Return the step without the weights that carry the chain's gradient; see `moves`."""
-        move = self._move(self.chain(_number(dt)), dt)
+        """Return the step by the chain itself, without exploring and without its gradient; see `moves`."""
+        move = self._move(self.chain(one_time_step(dt)).detach(), dt, explore=0.0)
         return lambda state, noise: move(state, noise)[0]
 
     def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
@@ -95,13 +95,13 @@ class SwitchingDynamics(Dynamics):
             InputError: for observations without speech, if the chain listens.
         """
         if not self.chain.listens:
-            return itertools.repeat(self._move(self.chain(_number(dt)), dt))
+            return itertools.repeat(self._move(self.chain(one_time_step(dt)), dt, explore=self.explore))
         speech = getattr(observations, "speech", None)
         if speech is None:
             raise InputError("observations must have `speech` for a chain that listens to it")
-        tables = self.chain(_number(dt), speech)
+        tables = self.chain(one_time_step(dt), speech)
         transitions = [model.transition(dt) for model in self._parts]
-        return (self._move(table, dt, transitions) for table in tables.unbind(0))
+        return (self._move(table, dt, transitions, explore=self.explore) for table in tables.unbind(0))
 
     def mode(self, state: Tensor) -> Tensor:
         """Return ones and zeros (..., S): which model moved each particle last."""
@@ -131,14 +131,18 @@ class SwitchingDynamics(Dynamics):
         padded = torch.nn.functional.pad(known, (0, self.state_dim - 1 - known.shape[-1]))
         return torch.nn.functional.pad(padded, (0, 1), value=self.num_modes)
 
-    def _move(self, table: Tensor, dt: float | Tensor, transitions: Sequence[Transition] | None = None) -> Move:
+    def _move(
+        self, table: Tensor, dt: float | Tensor, transitions: Sequence[Transition] | None = None, *, explore: float
+    ) -> Move:
         """Return the step whose modes have log probabilities `table` (*batch, S + 1, S)."""
         steps = [model.transition(dt) for model in self._parts] if transitions is None else transitions
-        drawn_from = _explored(table.detach(), self.explore)
+        drawn_from = _explored(table.detach(), explore)
         bounds = _thresholds(drawn_from)
-        weighted = self.explore > 0 or (torch.is_grad_enabled() and table.requires_grad)
+        weighted = explore > 0 or (torch.is_grad_enabled() and table.requires_grad)
 
         def move(state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor | None]:
+            check_event(state, (self.state_dim,), "state")
+            check_event(noise, (self.noise_dim,), "noise")
             shape = torch.broadcast_shapes(state.shape[:-1], noise.shape[:-1])
             state, noise = state.expand(*shape, -1), noise.expand(*shape, -1)
             before = state[..., -1].long()
@@ -217,18 +221,14 @@ def _looked_up(table: Tensor, index: Tensor) -> Tensor:
 
 def _where(here: Tensor, a: Tensor, b: Tensor) -> Tensor:
     """Return `a` where `here`, else `b`; at once if both are one piece of memory, as for models of one layout."""
-    if a.data_ptr() == b.data_ptr() and a.stride() == b.stride():
-        return b
-    return torch.where(here, a, b)
+    try:
+        same = a.data_ptr() == b.data_ptr() and a.stride() == b.stride()
+    except RuntimeError:  # tensors of torch.func have no memory to ask for
+        same = False
+    return b if same else torch.where(here, a, b)
 
 
 def _flat(vectors: Tensor) -> Tensor:
     """Return vectors (..., D) variables first, (D, n)."""
     variables = vectors.movedim(-1, 0)
     return variables.reshape(len(variables), -1)
-
-
-def _number(dt: float | Tensor) -> float:
-    if isinstance(dt, Tensor) and dt.ndim > 0:
-        raise InputError(f"dt must be one number for a switching model, got shape {tuple(dt.shape)}")
-    return float(dt)
