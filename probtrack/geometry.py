@@ -28,8 +28,9 @@ def wrap_angle(angle: Tensor) -> Tensor:
     >>> bool(torch.isclose(wrap_angle(torch.tensor(7.0)), torch.tensor(7.0 - 2 * math.pi)))
     True
     """
-    wrapped = torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
-    return torch.where(wrapped >= math.pi, -math.pi, wrapped)  # just below -pi, the remainder rounds up to 2 pi
+    turns = torch.floor(angle * (0.5 / math.pi) + 0.5)  # a remainder would take ten times as long
+    wrapped = torch.sub(angle, turns, alpha=2 * math.pi).clamp_min(-math.pi)
+    return torch.where(wrapped >= math.pi, -math.pi, wrapped)  # rounding may miss either end
 
 
 def azimuth(position: Tensor, origin: Tensor) -> Tensor:

@@ -73,10 +73,10 @@ class Curvilinear(Dynamics):
         def step(state: Tensor, noise: Tensor) -> Tensor:
             # variables first, as clouds lie in memory: everything here runs along rows
             rows, numbers = state.movedim(-1, 0).unbind(0), noise.movedim(-1, 0)
-            speed = decay * rows[self.axes] + std * numbers[0]
+            speed = torch.addcmul(decay * rows[self.axes], std, numbers[0])
             turned = turn(list(rows[first:last]), speed, numbers[1])
             way = time * speed
-            x, y = rows[0] + way * turned[0].cos(), rows[1] + way * turned[0].sin()
+            x, y = torch.addcmul(rows[0], way, turned[0].cos()), torch.addcmul(rows[1], way, turned[0].sin())
             moved = [x, y, speed, *turned]
             if rise is not None:
                 matrix, gain = rise

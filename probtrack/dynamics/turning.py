@@ -50,7 +50,7 @@ class TurnAngle(Turning):
         wrap = wrap_angle if self.process.unbounded else _unchanged
 
         def turn(variables: list[Tensor], speed: Tensor, noise: Tensor) -> list[Tensor]:  # noqa: ARG001
-            return [wrap(decay * variables[0] + std * noise)]
+            return [wrap(torch.addcmul(decay * variables[0], std, noise))]
 
         return turn
 
@@ -85,9 +85,9 @@ class NormalAcceleration(Turning):
 
         def turn(variables: list[Tensor], speed: Tensor, noise: Tensor) -> list[Tensor]:
             direction, acceleration = variables
-            acceleration = decay * acceleration + std * noise
+            acceleration = torch.addcmul(decay * acceleration, std, noise)
             rate = acceleration * speed / torch.addcmul(speed.new_tensor(self.min_speed**2), speed, speed)
-            return [wrap_angle(direction + step * rate), acceleration]
+            return [wrap_angle(torch.addcmul(direction, step, rate)), acceleration]
 
         return turn
 
