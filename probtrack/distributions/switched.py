@@ -43,9 +43,10 @@ class Switched(Distribution):
     def __init__(
         self, log_prob_of_mode: Tensor, laws: Sequence[Distribution], validate_args: bool | None = None
     ) -> None:
+        if not laws or any(len(law.event_shape) != 1 for law in laws):
+            shapes = ", ".join(str(tuple(law.event_shape)) for law in laws)
+            raise ShapeError(f"laws must be of vectors with events (D,), got {shapes or 'none'}")
         check_event(log_prob_of_mode, (len(laws),), "log_prob_of_mode")
-        if any(len(law.event_shape) != 1 for law in laws):
-            raise ShapeError("laws must be of vectors with events (D,)")
         batch = torch.broadcast_shapes(log_prob_of_mode.shape[:-1], *(law.batch_shape for law in laws))
         self.log_prob_of_mode = log_prob_of_mode.expand(*batch, -1)
         self.laws = [law.expand(batch) for law in laws]
@@ -83,7 +84,8 @@ class Switched(Distribution):
         for s, law in enumerate(self.laws):
             here = mode == s
             if here.any():  # a law that is not asked need not have a density
-                x = value[..., : law.event_shape[0]]
+                # other modes' values may lie where this law has no density and no gradient
+                x = torch.where(here[..., None], value[..., : law.event_shape[0]], 0.0)
                 density = law.log_prob(x)
                 total = torch.where(here, self.log_prob_of_mode[..., s] + density, total)
         return total
