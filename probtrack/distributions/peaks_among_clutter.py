@@ -76,6 +76,8 @@ class PeaksAmongClutter(Distribution):
             target.batch_shape, clutter.batch_shape, present.shape, (*log_prior.shape[:-1], *peaks)
         )
         self.target, self.clutter = unchecked(target, slots), unchecked(clutter, slots)
+        # Not broadcast: constants are worked out once for all peaks that share them.
+        self._parts = unchecked(target, target.batch_shape), unchecked(clutter, clutter.batch_shape)
         self.present = present.expand(slots)
         self.log_prior = log_prior.expand(*slots[:-1], -1)
         super().__init__(slots[:-1], slots[-1:], validate_args=validate_args)
@@ -90,6 +92,7 @@ class PeaksAmongClutter(Distribution):
         new = cast(PeaksAmongClutter, self._get_checked_instance(PeaksAmongClutter, _instance))
         slots = torch.Size((*batch_shape, *self.event_shape))
         new.target, new.clutter = self.target.expand(slots), self.clutter.expand(slots)
+        new._parts = self._parts
         new.present = self.present.expand(slots)
         new.log_prior = self.log_prior.expand(*batch_shape, -1)
         Distribution.__init__(new, torch.Size(batch_shape), self.event_shape, validate_args=False)
@@ -116,8 +119,7 @@ class PeaksAmongClutter(Distribution):
         value = torch.where(self.present, value, self.clutter.mean.detach())  # absent ones: any point will do
         if self._validate_args:
             self._validate_sample(value)
-        target = torch.where(self.present, log_density(self.target, value), 0)
-        clutter = torch.where(self.present, log_density(self.clutter, value), 0)
+        target, clutter = (torch.where(self.present, log_density(law, value), 0) for law in self._parts)
         # Products over all other peaks, without a division, since a density may be zero.
         nothing = torch.zeros_like(clutter[..., :1])
         before = torch.cat([nothing, clutter.cumsum(-1)], -1)
