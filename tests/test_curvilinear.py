@@ -420,7 +420,7 @@ def test_parameters_are_reached_through_samples(make):
     assert all(torch.isfinite(p.grad) and p.grad != 0 for p in model.parameters())
 
 
-@pytest.mark.parametrize("bad", [0, 1, 4, 2.5])
+@pytest.mark.parametrize("bad", [0, 1, 4, 2.0, True])
 def test_rejects_a_number_of_axes_that_is_none(bad):
     with pytest.raises(InputError, match=f"axes must be 2 or 3, got {bad}"):
         MODELS["RWTU"](axes=bad)

@@ -47,7 +47,7 @@ class Curvilinear(Dynamics):
         self, speed: ScalarProcess, turning: Turning, *, axes: int = 2, height: AxisModel | None = None
     ) -> None:
         super().__init__()
-        if axes not in (2, 3):
+        if not isinstance(axes, int) or axes not in (2, 3):
             raise InputError(f"axes must be 2 or 3, got {axes}")
         if axes == 2 and height is not None:
             raise InputError("height needs axes=3, got axes=2")
