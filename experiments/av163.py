@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jsonargparse import auto_cli
 
+from experiments.command import run
 from probtrack.audio import Recording
 from probtrack.geometry import MicrophoneArray, Region, shipped_arrays, wrap_angle
 from probtrack.trackers import lehmann2007
@@ -79,4 +79,4 @@ def run_model(model: Model, samples: torch.Tensor, config: Config) -> dict[str, 
 
 
 if __name__ == "__main__":
-    main(auto_cli(Config, as_positional=False))
+    run(main, Config)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 import torch
-from jsonargparse import auto_cli
 
+from experiments.command import run
 from probtrack.audio import Recording
 from probtrack.geometry import MicrophoneArray, Region
 from probtrack.metrics import position_error, root_mean_square, track_lost
@@ -77,4 +77,4 @@ def run_model(model: Model, folder: Path, config: Config) -> dict[str, float | N
 
 
 if __name__ == "__main__":
-    main(auto_cli(Config, as_positional=False))
+    run(main, Config)
