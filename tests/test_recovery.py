@@ -18,7 +18,7 @@ def start_at(model, values):
 
 
 def fit(model, loss):
-    optimiser = torch.optim.LBFGS(model.parameters(), line_search_fn="strong_wolfe", max_iter=40)
+    optimiser = torch.optim.LBFGS(model.parameters(), line_search_fn="strong_wolfe", max_iter=40, tolerance_change=1e-7)
 
     def closure():
         optimiser.zero_grad()
@@ -44,11 +44,11 @@ def walks(model, frames, paths, dt):
 
 
 # One path of a time-correlated process tells its rate to a fraction of sqrt(2 / (rate x duration)): the paths of each
-# setting last for more than 2000 times 1 / rate in all, which is 3 %, and are seen several times in each 1 / rate.
+# setting last for at least 1800 times 1 / rate in all, which is 3 %, and are seen several times in each 1 / rate.
 SETTINGS = {  # frames, paths, dt [s], observation error [m]
-    "CU-LAN": (30, 400, 0.5, 0.02),
+    "CU-LAN": (30, 300, 0.5, 0.02),
     "CU-TCVE": (40, 200, 0.5, 0.02),
-    "CU-TCAC": (60, 100, 0.01, 5e-5),
+    "CU-TCAC": (60, 60, 0.01, 5e-5),
     "CU-RWVE": (30, 60, 0.1, 0.02),
 }
 
