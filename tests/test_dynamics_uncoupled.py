@@ -376,7 +376,16 @@ class Given(torch.nn.Module):
 
 
 @pytest.mark.parametrize(
-    "shapes", [((1, 1), (1, 1)), ((2, 3), (2, 1)), ((2, 2), (2,)), ((2, 2), (3, 1)), ((3, 3), (2, 1)), ((), ())]
+    "shapes",
+    [
+        ((1, 1), (1, 1)),
+        ((2, 3), (2, 1)),
+        ((2, 3), (3, 1)),
+        ((2, 2), (2,)),
+        ((2, 2), (3, 1)),
+        ((3, 3), (2, 1)),
+        ((), ()),
+    ],
 )
 def test_rejects_an_axis_model_of_wrong_shapes(shapes):
     with pytest.raises(ShapeError, match=r"matrix \(K, K\) and a gain \(K, J\) with K at least 2, got \("):
