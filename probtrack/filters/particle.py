@@ -151,30 +151,32 @@ class ParticleFilter(nn.Module):
         for observation, move in zip(frames, moves, strict=False):  # there may be more moves than frames
             normal, uniform = noise.frame()
             state, correction = move(state, normal)  # step 1, prediction
-            joint = log_weight + likelihood(observation, kinematics(state))  # step 2, update
-            if correction is not None:
-                joint = joint + correction
-            before, log_weight, lost = log_weight, torch.log_softmax(joint, -1), none_lost
+            predicted = log_weight if correction is None else log_weight + correction
+            joint = predicted + likelihood(observation, kinematics(state))  # step 2, update
+            log_weight, lost = torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
             first = log_weight[..., 0]
             if math.isnan((first.sum() if first.ndim else first).item()):
-                joint, log_weight, lost = _kept(joint, before)
+                # a corrected weight sums to 1 in expectation only
+                joint, log_weight, lost = _kept(joint, predicted if correction is None else predicted.log_softmax(-1))
             clouds.state.append(state)
             clouds.log_weight.append(log_weight)
             clouds.joint.append(joint)
             clouds.lost.append(lost)
             state, log_weight = resample(state, log_weight, uniform)  # step 3, resampling
+        if len(clouds.state) < len(frames):
+            raise ShapeError("what the dynamics listens to must have as many frames as the observations, got fewer")
         return state, log_weight, clouds
 
 
-def _kept(joint: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return both weights of a frame with those `before` where no particle was possible, and where that is."""
+def _kept(joint: Tensor, predicted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return both weights of a frame with the `predicted` where no particle was possible, and where that is."""
     if not (joint < torch.inf).all():
         raise NotFiniteError("a likelihood is NaN or infinite: an observation or a parameter is not finite")
     lost = joint.isneginf().all(-1)
     # taken out before the softmax: its gradient at a row of -inf is NaN even where nothing asks for it
-    joint = torch.where(lost[..., None], before, joint)
-    return joint, torch.where(lost[..., None], before, torch.log_softmax(joint, -1)), lost
+    joint = torch.where(lost[..., None], predicted, joint)
+    return joint, torch.where(lost[..., None], predicted, torch.log_softmax(joint, -1)), lost
 
 
 def _check_batch(belief: Belief, batch: tuple[int, ...]) -> None:
