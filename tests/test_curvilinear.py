@@ -377,6 +377,15 @@ def test_kinematics_and_back(make, axes, height):
 
 @every_model
 @pytest.mark.parametrize("axes", [2, 3])
+def test_who_stands_has_no_speed_and_faces_along_x(make, axes):
+    position = torch.randn(7, axes)
+    state = make(axes=axes).from_kinematics(Kinematics(position, torch.zeros(7, axes)))
+    torch.testing.assert_close(state[:, :axes], position)
+    torch.testing.assert_close(state[:, axes:], torch.zeros_like(state[:, axes:]), rtol=0, atol=1e-18)
+
+
+@every_model
+@pytest.mark.parametrize("axes", [2, 3])
 def test_position_is_the_walk_of_the_new_velocity(make, axes):
     model = make(axes=axes)
     state, noise = inputs(model, 7)
