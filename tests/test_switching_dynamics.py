@@ -149,10 +149,10 @@ def test_particles_that_stay_move_as_their_own_model_moves_them(mode):
 @pytest.mark.parametrize("axes", [2, 3])
 def test_a_mixed_cloud_moves_as_each_particle_would(axes):
     switching = every(axes)
-    state, u = mixed(switching, 5, 40), noise(switching, 5, 40)
-    moved = switching.transition(DT)(state, u).reshape(200, -1)
+    state, u = mixed(switching, 5, 20), noise(switching, 5, 20)
+    moved = switching.transition(DT)(state, u).reshape(100, -1)
     assert len(moved[:, -1].unique()) == 6
-    for before, numbers, after in zip(state.reshape(200, -1), u.reshape(200, -1), moved, strict=True):
+    for before, numbers, after in zip(state.reshape(100, -1), u.reshape(100, -1), moved, strict=True):
         giver, x = own(switching, before)
         taker, y = own(switching, after)
         x = x if taker is giver else taker.from_kinematics(giver.kinematics(x))
@@ -344,7 +344,7 @@ def test_only_a_step_without_density_that_is_asked_is_an_error():
 @pytest.mark.parametrize("names", [["CU 4-D", "CU 6-D"], ["CL 5-D", "path and heading"]])
 def test_gradients_of_steps(names):
     switching = SwitchingDynamics(models(*names), MarkovChain([0.5, 0.5], [[0.6, 0.4], [0.3, 0.7]], dt=DT))
-    state, u = mixed(switching, 5), noise(switching, 5)
+    state, u = mixed(switching, 3), noise(switching, 3)
 
     def moved(model, x, numbers):
         before, pick = torch.cat([x, state[:, -1:]], -1), torch.cat([numbers, u[:, -1:]], -1)
@@ -356,8 +356,8 @@ def test_gradients_of_steps(names):
 
 def test_gradients_of_densities():
     switching = three()
-    state = mixed(switching, 4)
-    value = switching.transition(DT)(state, noise(switching, 4)).detach()
+    state = mixed(switching, 3)
+    value = switching.transition(DT)(state, noise(switching, 3)).detach()
 
     def log_prob(model, x, y):
         return model(torch.cat([x, state[:, -1:]], -1), DT).log_prob(torch.cat([y, value[:, -1:]], -1))
