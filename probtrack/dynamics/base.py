@@ -2,7 +2,7 @@
 
 import abc
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -90,6 +90,14 @@ class Dynamics(nn.Module, abc.ABC):
         transition = self.transition(dt)
         return itertools.repeat(lambda state, noise: (transition(state, noise), None))
 
+    @property
+    def layout(self) -> Hashable | None:
+        """What the numbers of a state mean: models that switch and have equal layouts exchange states as they are.
+
+        A model with a layout takes any finite numbers for a state. None, the default, is a layout of its own.
+        """
+        return None
+
     def mode(self, state: Tensor) -> Tensor | None:  # noqa: ARG002
         """Return which of S models moves each particle, ones and zeros (..., S); None if there is but one."""
         return None
@@ -98,8 +106,8 @@ class Dynamics(nn.Module, abc.ABC):
 def direction(vector: Tensor) -> Tensor:
     """Return the angle of `vector` (..., 2 or 3) in the plane [rad]; 0, with zero gradient, of no vector."""
     x, y = vector[..., 0], vector[..., 1]
-    # atan2 has a NaN gradient at (0, 0)
-    return torch.atan2(y, torch.where((x == 0) & (y == 0), torch.ones((), dtype=x.dtype, device=x.device), x))
+    still = (x == 0) & (y == 0)  # where the gradient of atan2 is NaN
+    return torch.atan2(torch.where(still, 0.0, y), torch.where(still, 1.0, x))
 
 
 def driven_by(law: Distribution, noise: Tensor) -> Tensor:

@@ -1,5 +1,7 @@
 """Motion along a path: how fast, and which way."""
 
+from collections.abc import Hashable
+
 import torch
 from torch import Tensor
 
@@ -58,6 +60,10 @@ class Curvilinear(Dynamics):
         self.state_dim = 3 + turning.num_variables + order
         self.noise_dim = 2 + noises
 
+    @property
+    def layout(self) -> Hashable | None:
+        return "speed and direction", self.axes, self.turning.num_variables, self.state_dim
+
     def forward(self, state: Tensor, dt: float | Tensor) -> Pushforward:
         check_event(state, (self.state_dim,), "state")
         step = self.transition(dt)
@@ -105,7 +111,7 @@ class Curvilinear(Dynamics):
         check_event(velocity, (self.axes,), "velocity")
         known = [
             *position.unbind(-1),
-            torch.linalg.vector_norm(velocity[..., :2], dim=-1),
+            _speed(velocity),
             direction(velocity),
             *[torch.zeros_like(velocity[..., 0])] * (self.turning.num_variables - 1),
             *velocity[..., 2:].unbind(-1),
@@ -115,6 +121,12 @@ class Curvilinear(Dynamics):
 
     def extra_repr(self) -> str:
         return f"axes={self.axes}"
+
+
+def _speed(velocity: Tensor) -> Tensor:
+    """Return the speed (...) in the plane; the floor below every normal number keeps its gradient finite at rest."""
+    x, y = velocity[..., 0], velocity[..., 1]
+    return torch.addcmul(x * x, y, y).clamp_min(torch.finfo(x.dtype).tiny).sqrt()
 
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:

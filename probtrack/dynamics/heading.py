@@ -1,5 +1,7 @@
 """Which way a talker looks, beside where the talker goes."""
 
+from collections.abc import Hashable
+
 import torch
 from torch import Tensor
 
@@ -50,6 +52,10 @@ class WithHeading(Dynamics):
         self.axes = motion.axes
         self.state_dim = motion.state_dim + self._order
         self.noise_dim = motion.noise_dim + self._noises
+
+    @property
+    def layout(self) -> Hashable | None:
+        return None if self.motion.layout is None else ("heading", self.motion.layout, self._order)
 
     def forward(self, state: Tensor, dt: float | Tensor) -> Concatenated:
         check_event(state, (self.state_dim,), "state")

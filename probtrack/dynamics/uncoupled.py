@@ -1,5 +1,7 @@
 """Motion in which every coordinate goes its own way."""
 
+from collections.abc import Hashable
+
 import torch
 from torch import Tensor
 
@@ -41,6 +43,10 @@ class CoordinateUncoupled(Dynamics):
         self.axes = check_int(axes, "axes", low=1)
         order, noises = axis_sizes(axis_model)
         self.state_dim, self.noise_dim = order * axes, noises * axes
+
+    @property
+    def layout(self) -> Hashable | None:
+        return "positions and their derivatives", self.axes, self.state_dim
 
     def matrices(self, dt: float | Tensor) -> tuple[Tensor, Tensor]:
         """Return F (..., D, D) and G (..., D, J A) of the step X' = F X + G u over `dt` (...) [s]."""

@@ -12,6 +12,7 @@ from probtrack.distributions import Switched
 from probtrack.dynamics import Dynamics, Kinematics, Move, Transition
 from probtrack.errors import InputError
 from probtrack.switching.chain import MarkovChain, one_time_step
+from probtrack.switching.drawing import drawn_from
 
 
 class SwitchingDynamics(Dynamics):
@@ -20,7 +21,8 @@ class SwitchingDynamics(Dynamics):
     .. math:: p(X_t, s_t \mid X_{t-1}, s_{t-1}) = P(s_t \mid s_{t-1})\, p_{s_t}(X_t \mid X_{t-1}) .
 
     Every particle has its mode in its state. The models may have different states: a particle that changes its
-    mode keeps its `Kinematics` and no more (an acceleration starts at 0).
+    mode keeps its `Kinematics` and no more (an acceleration starts at 0), or all of its state if both models
+    have the same `layout`.
 
     Modes are drawn and never relaxed. Gradients reach the chain by importance weights: a mode is drawn from a law q
     that is taken as fixed, and the particle is weighted by p / q, which is 1 for `explore` = 0 but carries the
@@ -63,6 +65,8 @@ class SwitchingDynamics(Dynamics):
         self.models, self.chain, self.explore = nn.ModuleList(models), chain, float(explore)
         self.axes, self.num_modes = axes[0], len(models)
         self._parts: list[Dynamics] = list(models)  # nn.ModuleList forgets the type, and is slow to walk
+        self._alike = len(models) == 1 or (models[0].layout is not None and len({m.layout for m in models}) == 1)
+        self._models_heading = any(_models_heading(model) for model in models)
         self.state_dim = max(model.state_dim for model in models) + 1
         self.noise_dim = max(model.noise_dim for model in models) + 1
 
@@ -73,14 +77,13 @@ class SwitchingDynamics(Dynamics):
             InputError: if the chain listens: the law then depends on the frame's speech, see `moves`.
         """
         check_event(state, (self.state_dim,), "state")
-        before = state[..., -1].long()
-        rows = self.chain(one_time_step(dt))[before]
-        layout = self._layout(before)
-        flat, of = _flat(state[..., :-1]), layout.flatten()
+        before = state[..., -1]
+        rows = self.chain(one_time_step(dt))[before.long()]
+        flat, of = _flat(state[..., :-1]), self._layout(before).flatten()
         laws = []
         for s, model in enumerate(self._parts):
             own = self._carried(flat, of, torch.full_like(of, s))[: model.state_dim]
-            laws.append(model(own.view(-1, *layout.shape).movedim(0, -1), dt))
+            laws.append(model(own.view(-1, *before.shape).movedim(0, -1), dt))
         return Switched(rows, laws)
 
     def transition(self, dt: float | Tensor) -> Transition:
@@ -110,20 +113,16 @@ class SwitchingDynamics(Dynamics):
 
     def kinematics(self, state: Tensor) -> Kinematics:
         check_event(state, (self.state_dim,), "state")
-        layout = self._layout(state[..., -1])
-        each = [model.kinematics(state[..., : model.state_dim]) for model in self._parts]
-        position, velocity = each[0].position, each[0].velocity
-        heading = each[0].modelled_heading
-        modelled = any(k.modelled_heading is not None for k in each)
-        if modelled:
-            heading = each[0].heading
-        for s, k in enumerate(each[1:], 1):
-            here = layout == s
-            position = _where(here[..., None], k.position, position)
-            velocity = _where(here[..., None], k.velocity, velocity)
-            if modelled and heading is not None:
-                heading = torch.where(here, k.heading, heading)
-        return Kinematics(position, velocity, heading)
+        if self._alike:
+            return self._parts[0].kinematics(state.narrow(-1, 0, self.state_dim - 1))
+        flat, of = _flat(state[..., :-1]), self._layout(state[..., -1]).flatten()
+        known = [model.kinematics(own.mT) for model, own in zip(self._parts, self._own(flat, of), strict=True)]
+        parts = [[k.position.mT, k.velocity.mT, *([k.heading[None]] if self._models_heading else [])] for k in known]
+        found = [
+            _selected(of, said, len(said[0])).view(-1, *state.shape[:-1]).movedim(0, -1)
+            for said in zip(*parts, strict=True)
+        ]
+        return Kinematics(found[0], found[1], found[2][..., 0] if self._models_heading else None)
 
     def from_kinematics(self, kinematics: Kinematics) -> Tensor:
         """Return the state (..., D) of a talker before the first frame, whose mode is still to be drawn."""
@@ -136,96 +135,88 @@ class SwitchingDynamics(Dynamics):
     ) -> Move:
         """Return the step whose modes have log probabilities `table` (*batch, S + 1, S)."""
         steps = [model.transition(dt) for model in self._parts] if transitions is None else transitions
-        drawn_from = _explored(table.detach(), explore)
-        bounds = _thresholds(drawn_from)
-        weighted = explore > 0 or (torch.is_grad_enabled() and table.requires_grad)
+        draw = drawn_from(table, explore)
 
         def move(state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor | None]:
             check_event(state, (self.state_dim,), "state")
             check_event(noise, (self.noise_dim,), "noise")
             shape = torch.broadcast_shapes(state.shape[:-1], noise.shape[:-1])
             state, noise = state.expand(*shape, -1), noise.expand(*shape, -1)
-            before = state[..., -1].long()
-            after = sum(
-                (noise[..., -1] > _looked_up(bounds[..., j], before)).long() for j in range(self.num_modes - 1)
-            ) + torch.zeros_like(before)
-            moved = self._moved(state, noise, before, after, steps)
-            if not weighted:
-                return moved, None
-            pair = before * self.num_modes + after
-            log_p = _looked_up(table.flatten(-2), pair)
-            return moved, log_p - _looked_up(drawn_from.flatten(-2), pair)
+            before = state[..., -1]
+            after, log_weight = draw(before, noise[..., -1])
+            moved = self._moved(
+                _flat(state[..., :-1]), _flat(noise[..., :-1]), before.flatten(), after.flatten(), steps
+            )
+            return moved.view(-1, *shape).movedim(0, -1), log_weight
 
         return move
 
-    def _moved(
-        self, state: Tensor, noise: Tensor, before: Tensor, after: Tensor, steps: Sequence[Transition]
-    ) -> Tensor:
-        flat, numbers = _flat(state[..., :-1]), _flat(noise)
-        of, to = self._layout(before).flatten(), after.flatten()
-        flat = self._carried(flat, of, to)
-        out = flat.new_zeros(self.state_dim, flat.shape[1])
-        for s, (model, step) in enumerate(zip(self._parts, steps, strict=True)):
-            # only the particles of a mode go through its model: another's state may be beyond its domain
-            which = (to == s).nonzero()[:, 0]
-            if len(which) > 0:
-                own = flat[: model.state_dim].index_select(1, which)
-                numbers_of = numbers[: model.noise_dim].index_select(1, which)
-                out[: model.state_dim].index_copy_(1, which, step(own.mT, numbers_of.mT).mT)
-        out[-1] = to
-        return out.view(-1, *after.shape).movedim(0, -1)
+    def _moved(self, flat: Tensor, noise: Tensor, before: Tensor, after: Tensor, steps: Sequence[Transition]) -> Tensor:
+        """Return the next states (D, n) of `flat` (D - 1, n) by `noise` (K, n), modes (n,) before and after."""
+        states = self._own(self._carried(flat, self._layout(before), after), after)
+        moved = [
+            step(own.mT, noise[: model.noise_dim].mT).mT
+            for model, step, own in zip(self._parts, steps, states, strict=True)
+        ]
+        out = _selected(after, moved, self.state_dim)
+        out[-1] = after
+        return out
+
+    def _own(self, flat: Tensor, of: Tensor) -> list[Tensor]:
+        """Return what every model works on, (D_s, n): all particles, of which those of its mode (n,) will be selected.
+
+        That takes less time than to pick them. A model that does not say its layout sees a valid state where
+        another's numbers are, which may be beyond its domain: what the first particle would be in its layout.
+        """
+        parts = [flat[: model.state_dim] for model in self._parts]
+        wary = [s for s, model in enumerate(self._parts) if model.layout is None]
+        if not wary or self.num_modes == 1 or flat.shape[1] == 0:
+            return parts
+        giver = self._parts[int(of[0])]
+        first = giver.kinematics(flat[: giver.state_dim, :1].detach().mT)
+        for s in wary:
+            valid = self._parts[s].from_kinematics(first).mT.to(flat)
+            parts[s] = torch.where((of == s).expand(parts[s].shape), parts[s], valid)
+        return parts
 
     def _carried(self, flat: Tensor, of: Tensor, to: Tensor) -> Tensor:
         """Return states (D - 1, n) that are laid out as model `of` (n,) has it, laid out as model `to` has it."""
-        changed = (of != to).nonzero()[:, 0]
+        if self._alike:
+            return flat
+        changed = (of - to).nonzero()[:, 0]
         if len(changed) == 0:
             return flat
-        some, old, new = flat.index_select(1, changed), of[changed], to[changed]
-        carried = torch.zeros_like(some)
-        for i, giver in enumerate(self._parts):
-            for j, taker in enumerate(self._parts):
-                which = ((old == i) & (new == j)).nonzero()[:, 0]
-                if len(which) > 0:
-                    kinematics = giver.kinematics(some[: giver.state_dim].index_select(1, which).mT)
-                    carried[: taker.state_dim].index_copy_(1, which, taker.from_kinematics(kinematics).mT)
-        return flat.index_copy(1, changed, carried)
+        some, new = flat.index_select(1, changed), to.index_select(0, changed)
+        given = self.kinematics(torch.cat([some, of.index_select(0, changed)[None]]).mT)
+        taken = [model.from_kinematics(given).mT for model in self._parts]
+        return flat.index_copy(1, changed, _selected(new, taken, len(flat)))
 
     def _layout(self, mode: Tensor) -> Tensor:
         """Return whose layout a state has: that of its mode's model, and of the first before the first frame."""
-        return torch.where(mode == self.num_modes, torch.zeros_like(mode), mode)
+        return mode * (self.num_modes - mode).clamp_max(1)
 
 
-def _explored(table: Tensor, share: float) -> Tensor:
-    """Return the log probabilities (..., S) that modes are drawn from: evenly from all possible ones in a `share`."""
-    if share == 0:
-        return table
-    possible = (table > -torch.inf).to(table)
-    return ((1 - share) * table.exp() + share * possible / possible.sum(-1, keepdim=True)).log()
+def _models_heading(model: Dynamics) -> bool:
+    """Return whether the kinematics of `model` have a heading of their own, asked of a talker who walks."""
+    with torch.no_grad():
+        walking = model.from_kinematics(Kinematics(torch.ones(1, model.axes), torch.ones(1, model.axes)))
+        return model.kinematics(walking).modelled_heading is not None
 
 
-def _thresholds(table: Tensor) -> Tensor:
-    """Return what a standard normal number must exceed for each next mode (..., S - 1), +-inf for impossible ones."""
-    p = table.exp()
-    below = p.cumsum(-1)[..., :-1]
-    above = p.flip(-1).cumsum(-1).flip(-1)[..., 1:]
-    # from the nearer end, so that a sum that misses 1 by rounding leaves no room for an impossible mode
-    return torch.where(below < above, torch.special.ndtri(below), -torch.special.ndtri(above))
+def _selected(mode: Tensor, said: Sequence[Tensor], rows: int) -> Tensor:
+    """Return for each of n particles what its `mode` (n,) says, of what every mode says (J_s, n): (rows, n).
 
-
-def _looked_up(table: Tensor, index: Tensor) -> Tensor:
-    """Return `table` (*batch, R) at `index` (*batch, N); axes of size 1 in the table's batch are shared."""
-    if table.ndim == 1:
-        return table.take(index)
-    return table.expand(*index.shape[:-1], -1).gather(-1, index)
-
-
-def _where(here: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """Return `a` where `here`, else `b`; at once if both are one piece of memory, as for models of one layout."""
-    try:
-        same = a.data_ptr() == b.data_ptr() and a.stride() == b.stride()
-    except RuntimeError:  # tensors of torch.func have no memory to ask for
-        same = False
-    return b if same else torch.where(here, a, b)
+    Below a shorter answer stand zeros.
+    """
+    selected = torch.nn.functional.pad(said[0], (0, 0, 0, rows - len(said[0])))
+    for s, value in enumerate(said[1:], 1):
+        here = (1 - (mode - s).abs()).clamp_min(0)  # 1 for particles of mode s, else 0
+        # exact at 0 and 1, and ten times as fast as a choice by a mask that changes from particle to particle;
+        # in place, since fresh memory for 1e5 particles costs more than the work on it
+        selected[: len(value)].lerp_(value, here)
+        if len(value) < rows:
+            selected[len(value) :].mul_(1 - here)
+    return selected
 
 
 def _flat(vectors: Tensor) -> Tensor:
