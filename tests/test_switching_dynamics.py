@@ -317,6 +317,15 @@ def test_density_is_that_of_the_next_mode_and_of_its_motion():
         torch.testing.assert_close(log_prob, table[int(before[-1]), int(after[-1])] + taker(x, DT).log_prob(y))
 
 
+def test_density_is_that_of_the_next_motion_from_the_same_kinematics():
+    path, plain = parts = models("CL 5-D", "CU 6-D")
+    switching = SwitchingDynamics(parts, MarkovChain([0.5, 0.5], [[0.6, 0.4], [0.3, 0.7]], dt=DT))
+    state, value = in_mode(switching, 0), in_mode(switching, 1)
+    carried = plain.from_kinematics(path.kinematics(state[:, :5]))
+    expected = math.log(0.4) + plain(carried, DT).log_prob(value[:, :6])
+    torch.testing.assert_close(switching(state, DT).log_prob(value), expected)
+
+
 def test_steps_are_samples_of_the_law():
     switching, size = three(), 20_000
     state = in_mode(switching, 1, ())
