@@ -157,6 +157,7 @@ def test_a_mixed_cloud_moves_as_each_particle_would(axes):
         taker, y = own(switching, after)
         x = x if taker is giver else taker.from_kinematics(giver.kinematics(x))
         torch.testing.assert_close(y, taker.transition(DT)(x, numbers[: taker.noise_dim]))
+        assert (after[taker.state_dim : -1] == 0).all()
 
 
 def test_states_and_noise_broadcast():
