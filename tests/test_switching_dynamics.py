@@ -136,6 +136,12 @@ def test_acceleration_starts_at_zero():
     assert (at_once(models("heading", "CU 6-D"), 0, 1)[1][:, 4:6] == 0).all()
 
 
+@pytest.mark.parametrize("of", [0, 1])
+def test_a_state_shorter_than_the_first_ends_in_zeros(of):
+    switching = forced(models("CU 6-D", "CU 4-D"), 1)
+    assert (switching.transition(DT)(in_mode(switching, of), noise(switching, 9))[:, 4:6] == 0).all()
+
+
 @pytest.mark.parametrize("mode", range(6))
 def test_particles_that_stay_move_as_their_own_model_moves_them(mode):
     switching = forced(models(*MODELS), mode)
