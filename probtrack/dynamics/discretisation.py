@@ -86,8 +86,7 @@ def euler(process: ScalarProcess, order: int, dt: float | Tensor) -> tuple[Tenso
     """
     decay, std = process(dt)
     step = seconds(dt, std)
-    ones = torch.ones(order, order).to(step)
-    matrix = _chain(step, ones, last=decay[..., None].expand(*decay.shape, order))
+    matrix = _chain(step, order, last=decay[..., None].expand(*decay.shape, order))
     return matrix, (_powers(step, order) * std[..., None])[..., None]
 
 
@@ -95,16 +94,17 @@ def _drift(process: ScalarProcess, order: int, dt: float | Tensor) -> Tensor:
     """Return e^{AT} (..., K, K) of a coordinate whose last derivative decays."""
     rate = process.diffusion().rate
     step = seconds(dt, rate)
-    taylor = torch.tensor([[1 / math.factorial(max(j - i, 0)) for j in range(order)] for i in range(order)])
-    return _chain(step, taylor.to(step), last=means(rate.double() * step.double(), order).to(step))
+    return _chain(step, order, last=means(rate.double() * step.double(), order).to(step))
 
 
-def _chain(step: Tensor, coefficients: Tensor, *, last: Tensor) -> Tensor:
-    """Return the matrix of T^(j - i) times `coefficients` (K, K) above the diagonal, or times `last` (..., K)."""
-    order = len(coefficients)
+def _chain(step: Tensor, order: int, *, last: Tensor) -> Tensor:
+    """Return the upper triangular matrix of T^(j - i), j > i, with its last column times `last` (..., K).
+
+    The rows but the last are Taylor's: up to order 3 no factorial but 1 stands before the last column.
+    """
     exponents = (torch.arange(order)[None, :] - torch.arange(order)[:, None]).to(step)
     powers = torch.where(exponents >= 0, step[..., None, None] ** exponents.clamp_min(0), torch.zeros(()).to(step))
-    return torch.cat([powers[..., :-1] * coefficients[:, :-1], (powers[..., -1] * last)[..., None]], -1)
+    return torch.cat([powers[..., :-1], (powers[..., -1] * last)[..., None]], -1)
 
 
 def _powers(step: Tensor, order: int) -> Tensor:

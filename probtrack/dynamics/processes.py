@@ -172,7 +172,7 @@ class WhiteNoise(ScalarProcess):
 
     def diffusion(self) -> Diffusion:
         raise InputError(
-            "WhiteNoise has no value in continuous time and so no exact step: take RandomWalk one derivative lower"
+            "WhiteNoise has no value in continuous time: let RandomWalk drive one derivative lower, or take euler steps"
         )
 
     def extra_repr(self) -> str:
