@@ -1,6 +1,7 @@
 """A head that turns apart from the body: against the printed steps, around the circle, on any motion."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from probtrack.dynamics import (
 )
 from probtrack.errors import InputError, ShapeError, SingularLawError
 from probtrack.geometry import wrap_angle
+from probtrack.switching import MarkovChain, SwitchingDynamics
 
 MOTIONS = {
     "uncoupled": lambda: lehmann2007("CU-LAN"),
@@ -349,3 +351,24 @@ class Flat(torch.nn.Module):
 def test_rejects_a_head_that_is_no_axis_model():
     with pytest.raises(ShapeError, match=r"with K at least 2, got \(1, 1\) and \(1, 1\)"):
         WithHeading(lehmann2007("CU-LAN"), Flat())
+
+
+class Heard(NamedTuple):
+    """What a chain listens to."""
+
+    speech: torch.Tensor
+
+
+def test_a_heading_joins_models_that_switch():
+    chain = MarkovChain([0.3, 0.7], [[0.9, 0.1], [0.2, 0.8]], silence=[[0.1, 0.9], [0.4, 0.6]], dt=0.1)
+    motion = SwitchingDynamics([lehmann2007("CU-LAN"), lehmann2007("CL-RWVE-RAAC")], chain, explore=0.2)
+    model = WithHeading(motion)
+    state = model.from_kinematics(Kinematics(torch.randn(7, 2), torch.randn(7, 2), torch.randn(7)))
+    noise, heard = torch.randn(7, model.noise_dim), Heard(torch.tensor([0.8]))
+    moved, log_weight = next(iter(model.moves(heard, 0.1)))(state, noise)
+    alone, weight_alone = next(iter(motion.moves(heard, 0.1)))(state[:, :6], noise[:, :3])
+    torch.testing.assert_close(moved[:, :6], alone)
+    torch.testing.assert_close(log_weight, weight_alone)
+    torch.testing.assert_close(model.mode(moved), motion.mode(alone))
+    turned = model.turning(0.1)[0] @ state[:, 6:].T + model.turning(0.1)[1] @ noise[:, 3:].T
+    torch.testing.assert_close(moved[:, 6:], torch.stack([wrap_angle(turned[0]), turned[1]], -1))

@@ -16,6 +16,7 @@ from probtrack.dynamics import (
     Curvilinear,
     DrivenAcceleration,
     DrivenVelocity,
+    Dynamics,
     Kinematics,
     RandomWalk,
     TimeCorrelated,
@@ -607,3 +608,34 @@ def test_rejects_states_and_noise_of_another_size():
             act(torch.zeros(5, 6))
     with pytest.raises(ShapeError, match=r"noise must have shape \(\.\.\., 7\), got \(5, 6\)"):
         step(mixed(switching, 5), torch.zeros(5, 6))
+
+
+class Rooted(Dynamics):
+    """A user's model whose step takes the root of x, which is NaN left of the origin."""
+
+    state_dim = 4
+    noise_dim = axes = 2
+
+    def transition(self, dt):
+        return lambda state, noise: state + dt * state[..., :1].sqrt() + 0 * noise.sum(-1, keepdim=True)
+
+    def forward(self, state, dt):
+        raise NotImplementedError
+
+    def kinematics(self, state):
+        return Kinematics(state[..., :2], state[..., 2:])
+
+    def from_kinematics(self, kinematics):
+        return torch.cat([kinematics.position, kinematics.velocity], -1)
+
+
+def test_a_model_that_fails_on_others_particles_leaves_them_alone():
+    chain = MarkovChain([0.6, 0.4], [[1.0, 0.0], [0.0, 1.0]])
+    for order in ([Rooted(), lehmann2007("CU-LAN")], [lehmann2007("CU-LAN"), Rooted()]):
+        model, rooted = SwitchingDynamics(order, chain), isinstance(order[1], Rooted)
+        place = torch.linspace(-2.0, 3.0, 30)
+        mode = ((place > 0) == rooted).to(place)  # Rooted has those right of the origin alone
+        state = torch.stack([place, place, torch.ones(30), torch.ones(30), mode], -1)
+        moved = model.transition(0.032)(state, torch.randn(30, model.noise_dim))
+        assert torch.isfinite(moved).all()
+        assert torch.equal(moved[:, -1], mode)

@@ -63,7 +63,7 @@ def test_gradients_of_presets_are_finite(make):
 
 
 @pytest.mark.parametrize("make", [speech_and_silence, teleconference])
-@pytest.mark.parametrize(("alpha", "speaking"), [(1.0, 0.95), (0.0, 0.05), (0.3, 0.3 * 0.95 + 0.7 * 0.05)])
+@pytest.mark.parametrize(("alpha", "speaking"), [(1.0, 0.99), (0.0, 0.01), (0.3, 0.3 * 0.99 + 0.7 * 0.01)])
 def test_the_mode_follows_the_probability_of_speech_in_each_frame(make, alpha, speaking):
     for _, mode in walked(make(), torch.full((4,), alpha))[1:]:
         assert abs(mode[0] - speaking) < 5 * math.sqrt(speaking * (1 - speaking) / 4000)

@@ -229,8 +229,8 @@ def test_modes_follow_speech(walk):
     samples, truth = walk
     track = tracker(model="speech-silence", num_particles=100)(samples, torch.arange(2), truth[0, :2])
     torch.testing.assert_close(track.mode.sum(-1), torch.ones(track.mode.shape[:-1]))
-    # the chain says 95 % of what the detector says; the rest is the likelihood's
-    expected = 0.05 + 0.9 * track.speech
+    # the chain says 99 % of what the detector says; the rest is the likelihood's
+    expected = 0.01 + 0.98 * track.speech
     assert (track.mode[..., 0] - expected).abs().mean() < 0.1
     assert track.speech.min() < 0.1 < 0.9 < track.speech.max()
 

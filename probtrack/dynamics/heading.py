@@ -1,6 +1,7 @@
 """Which way a talker looks, beside where the talker goes."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -8,7 +9,7 @@ from torch import Tensor
 from probtrack._checks import check_event
 from probtrack.distributions import Concatenated, LinearGaussian, WrappedGaussian
 from probtrack.dynamics.axis_models import AxisModel, DrivenVelocity
-from probtrack.dynamics.base import Dynamics, Kinematics, Transition
+from probtrack.dynamics.base import Dynamics, Kinematics, Move, Transition
 from probtrack.dynamics.discretisation import euler
 from probtrack.dynamics.processes import TimeCorrelated
 from probtrack.dynamics.uncoupled import axis_sizes
@@ -65,19 +66,40 @@ class WithHeading(Dynamics):
         return Concatenated([self.motion(motion, dt), WrappedGaussian(turned, angle=0)])
 
     def transition(self, dt: float | Tensor) -> Transition:
-        move, (matrix, gain) = self.motion.transition(dt), self.turning(dt)
+        step = self._turned(dt)
+        move = self.motion.transition(dt)
+        size, noises = self.motion.state_dim, self.motion.noise_dim
+        return lambda state, noise: step(move(state[..., :size], noise[..., :noises]), state, noise)
+
+    def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
+        step = self._turned(dt)
+        return (self._joined(move, step) for move in self.motion.moves(observations, dt))
+
+    def mode(self, state: Tensor) -> Tensor | None:
+        return self.motion.mode(state[..., : self.motion.state_dim])
+
+    def _joined(self, move: Move, step: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Move:
         size, noises = self.motion.state_dim, self.motion.noise_dim
 
-        def step(state: Tensor, noise: Tensor) -> Tensor:
-            moved = move(state[..., :size], noise[..., :noises])
+        def joined(state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor | None]:
+            moved, log_weight = move(state[..., :size], noise[..., :noises])
+            return step(moved, state, noise), log_weight
+
+        return joined
+
+    def _turned(self, dt: float | Tensor) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+        """Return what joins a motion state that has moved and the next heading of (state, noise)."""
+        matrix, gain = self.turning(dt)
+        size, noises = self.motion.state_dim, self.motion.noise_dim
+        shared = matrix.ndim == gain.ndim == 2  # one step for all, whatever their dt
+
+        def step(moved: Tensor, state: Tensor, noise: Tensor) -> Tensor:
             head, numbers = state[..., size:], noise[..., noises:]
-            shared = matrix.ndim == gain.ndim == 2  # one step for all, whatever their dt
             if shared and state.shape[:-1] == noise.shape[:-1] and state.ndim > 1:
                 turned = _rows(matrix, head) + _rows(gain, numbers)  # variables first, as clouds lie in memory
             else:
                 turned = (matrix @ head[..., None] + gain @ numbers[..., None])[..., 0].movedim(-1, 0)
-            heading = wrap_angle(turned[:1])
-            return torch.cat([moved.movedim(-1, 0), heading, turned[1:]]).movedim(0, -1)
+            return torch.cat([moved.movedim(-1, 0), wrap_angle(turned[:1]), turned[1:]]).movedim(0, -1)
 
         return step
 

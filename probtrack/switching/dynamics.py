@@ -1,6 +1,7 @@
 """A talker who changes between ways of moving."""
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -21,8 +22,8 @@ class SwitchingDynamics(Dynamics):
     .. math:: p(X_t, s_t \mid X_{t-1}, s_{t-1}) = P(s_t \mid s_{t-1})\, p_{s_t}(X_t \mid X_{t-1}) .
 
     Every particle has its mode in its state. The models may have different states: a particle that changes its
-    mode keeps its `Kinematics` and no more (an acceleration starts at 0), or all of its state if both models
-    have the same `layout`.
+    mode keeps its `Kinematics` and no more (an acceleration starts at 0), or all of its state if the models
+    have one `layout`.
 
     Modes are drawn and never relaxed. Gradients reach the chain by importance weights: a mode is drawn from a law q
     that is taken as fixed, and the particle is weighted by p / q, which is 1 for `explore` = 0 but carries the
@@ -208,12 +209,16 @@ def _selected(mode: Tensor, said: Sequence[Tensor], rows: int) -> Tensor:
 
     Below a shorter answer stand zeros.
     """
+    finite = all(math.isfinite(value.detach().sum()) for value in said)
     selected = torch.cat([said[0], said[0].new_zeros(rows - len(said[0]), len(mode))])
     for s, value in enumerate(said[1:], 1):
         here = (1 - (mode - s).abs()).clamp_min(0)  # 1 for particles of mode s, else 0
-        # exact at 0 and 1, and ten times as fast as a choice by a mask that changes from particle to particle;
-        # in place, since fresh memory for 1e5 particles costs more than the work on it
-        selected[: len(value)].lerp_(value, here)
+        if finite:
+            # exact at 0 and 1, and ten times as fast as a choice by a mask that changes from particle to particle;
+            # in place, since fresh memory for 1e5 particles costs more than the work on it
+            selected[: len(value)].lerp_(value, here)
+        else:  # 0 times NaN is NaN: what a model says of another's particles must not reach them
+            selected[: len(value)] = torch.where(here > 0, value, selected[: len(value)])
         if len(value) < rows:
             selected[len(value) :].mul_(1 - here)
     return selected

@@ -15,14 +15,14 @@ from probtrack.dynamics import (
 from probtrack.switching.chain import MarkovChain
 from probtrack.switching.dynamics import SwitchingDynamics
 
-_SPEECH, _SILENCE = [[0.95, 0.05], [0.95, 0.05]], [[0.05, 0.95], [0.05, 0.95]]
+_SPEECH, _SILENCE = [[0.99, 0.01], [0.99, 0.01]], [[0.01, 0.99], [0.01, 0.99]]
 
 
 def speech_and_silence(axes: int = 2, *, dt: float = 0.032) -> SwitchingDynamics:
     """Return a talker who is tracked as usual in speech and goes straight on in silence.
 
     CU-LAN while speaking, a velocity that is all but constant (0.02 m/s per sqrt(s)) in silence. The mode follows
-    the probability of speech with 95 % in each frame of `dt`; S1 has no figures for it.
+    the probability of speech with 99 % in each frame of `dt`; S1 has no figures for it.
 
     References:
         S1 section 3.3: "use a normal tracking model during periods of speech activity, and switch to a purely
