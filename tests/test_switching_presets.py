@@ -100,7 +100,7 @@ def test_a_silent_cloud_at_a_table_spreads_by_the_frames_taken_for_speech_alone(
     silent = walked(teleconference(), torch.zeros(62), velocity=(0, 0))[-1][0]
     push = 0.8 * math.sqrt(1 - math.exp(-20 * DT))  # m/s in each of 1 % of frames, forgotten at 10 /s
     wanted = math.sqrt(0.0122**2 + 62 * 0.01 * (push * (DT + 0.1)) ** 2)
-    # the last pushes have not run out, and a frame after another forgets a part: 5 %; 4000 particles, few pushed: 10 %
+    # the last pushes have not run out, and a frame after another forgets a part: 5 %; few are pushed: 10 %
     torch.testing.assert_close(spread(silent), torch.full((2,), wanted), rtol=0.15, atol=0)
     speaking = walked(teleconference(), torch.ones(62), velocity=(0, 0))[-1][0]
     assert (spread(speaking) > 3 * spread(silent)).all()

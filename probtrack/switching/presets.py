@@ -106,4 +106,5 @@ PRESETS: dict[str, Callable[[int], SwitchingDynamics]] = {
 
 
 def _listening(dt: float) -> MarkovChain:
-    return MarkovChain([0.5, 0.5], _SPEECH, silence=_SILENCE, dt=dt)
+    # begun as in silence: half a cloud pushed in the first frame would be seen for seconds
+    return MarkovChain(_SILENCE[0], _SPEECH, silence=_SILENCE, dt=dt)
