@@ -2,18 +2,17 @@
 
 import itertools
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 import torch
 from oracles.joint_gaussian import JointGaussian
 from oracles.mode_paths import answers
+from switching_parts import Heard, Measured, StopGradient
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenAcceleration, DrivenVelocity, Kinematics, TimeCorrelated
 from probtrack.dynamics import single_noise as printed
 from probtrack.filters import Adaptive, Belief, ParticleFilter, resampling
-from probtrack.likelihoods import GaussianPosition
 from probtrack.switching import MarkovChain, SwitchingDynamics
 
 DT, STD = 0.3, 0.15
@@ -24,31 +23,6 @@ SEEN = [[0.5, 0.3], [0.6, 0.2], [0.7, 0.2], [1.3, 0.5]]  # two jumps: the modes 
 VELOCITY, SPREAD, SPEED = [0.3, -0.2], 0.1, 0.5
 NEVER = Adaptive(resampling.systematic, 0)
 ALWAYS = Adaptive(resampling.systematic, 1)
-
-
-class Heard(NamedTuple):
-    position: torch.Tensor
-    speech: torch.Tensor
-
-
-class Measured(GaussianPosition):
-    def prepare(self, observations):
-        return super().prepare(observations.position)
-
-
-class StopGradient(resampling.Resampler):
-    """Resampling whose copies weigh w / (w as a constant) / N: the evidence then has an unbiased gradient.
-
-    A. Scibior, F. Wood, "Differentiable particle filtering without modifying the forward pass", 2021.
-    """
-
-    def num_uniforms(self, num_particles):
-        return resampling.systematic.num_uniforms(num_particles)
-
-    def __call__(self, state, log_weight, uniforms):
-        marked = torch.cat([state, (log_weight - log_weight.detach())[..., None]], -1)
-        drawn, equal = resampling.systematic(marked, log_weight, uniforms)
-        return drawn[..., :-1], equal + drawn[..., -1]
 
 
 def models():

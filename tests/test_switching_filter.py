@@ -2,10 +2,10 @@
 
 import copy
 import math
-from typing import NamedTuple
 
 import pytest
 import torch
+from switching_parts import Heard, Measured
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenAcceleration, TimeCorrelated, WithHeading, lehmann2007
 from probtrack.errors import InputError, ShapeError
@@ -18,16 +18,8 @@ DT, STD, POINT = 0.1, 0.25, (1.3, -0.7)
 SPEECH, SILENCE = [[0.8, 0.2], [0.3, 0.7]], [[0.1, 0.9], [0.25, 0.75]]
 
 
-class Heard(NamedTuple):
-    position: torch.Tensor
-    speech: torch.Tensor
-
-
-class Measured(GaussianPosition):
+class Gated(Measured):
     """Position within a gate: a frame that is far away is impossible."""
-
-    def prepare(self, observations):
-        return super().prepare(observations.position)
 
     def forward(self, observation, kinematics):
         away = observation.position.abs().amax(-1) > 50
@@ -42,7 +34,7 @@ def models():
 def switching_filter(size=60, *, explore=0.0, resample=None):
     chain = MarkovChain([0.6, 0.4], SPEECH, silence=SILENCE, dt=DT)
     model = SwitchingDynamics(models(), chain, explore=explore)
-    return ParticleFilter(model, Measured(STD), num_particles=size, resample=resample)
+    return ParticleFilter(model, Gated(STD), num_particles=size, resample=resample)
 
 
 def heard(frames, *batch):
@@ -156,8 +148,8 @@ class Replayed:
 @torch.no_grad()
 def test_one_mode_is_the_plain_filter(name):
     seen, model = heard(30, 2), lehmann2007(name)
-    plain = ParticleFilter(model, Measured(STD), num_particles=50)
-    one = ParticleFilter(SwitchingDynamics([model], MarkovChain([1.0], [[1.0]])), Measured(STD), num_particles=50)
+    plain = ParticleFilter(model, Gated(STD), num_particles=50)
+    one = ParticleFilter(SwitchingDynamics([model], MarkovChain([1.0], [[1.0]])), Gated(STD), num_particles=50)
     belief, noise = started(plain, torch.tensor([1, 2]))
     track = plain(seen, belief, DT, noise)
     belief, noise = started(plain, torch.tensor([1, 2]))
@@ -215,7 +207,7 @@ def test_frames_without_possible_particles_leave_the_modes_to_the_chain():
     """Exploring draws modes evenly: without its weights a lost frame would believe in that."""
     chain = MarkovChain([0.9, 0.1], [[0.95, 0.05], [0.6, 0.4]], dt=DT)
     model = SwitchingDynamics(models(), chain, explore=0.8)
-    particle_filter = ParticleFilter(model, Measured(STD), num_particles=20_000)
+    particle_filter = ParticleFilter(model, Gated(STD), num_particles=20_000)
     track = run(particle_filter, Heard(torch.full((3, 2), 1e3), torch.ones(3)))
     assert track.lost.all()
     law = torch.tensor([0.9, 0.1])

@@ -1,40 +1,17 @@
 """Learning a chain: from talkers whose modes are known, and from noisy positions by the particle filter."""
 
 import math
-from typing import NamedTuple
 
 import pytest
 import torch
+from switching_parts import Heard, Measured, StopGradient
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenAcceleration, DrivenVelocity, Kinematics, TimeCorrelated
-from probtrack.filters import ParticleFilter, resampling
-from probtrack.likelihoods import GaussianPosition
+from probtrack.filters import ParticleFilter
 from probtrack.switching import MarkovChain, SwitchingDynamics
 
 DT = 0.1
 FIRST, ROWS, QUIET = [0.7, 0.3], [[0.9, 0.1], [0.25, 0.75]], [[0.35, 0.65], [0.55, 0.45]]
-
-
-class Heard(NamedTuple):
-    position: torch.Tensor
-    speech: torch.Tensor
-
-
-class Measured(GaussianPosition):
-    def prepare(self, observations):
-        return super().prepare(observations.position)
-
-
-class StopGradient(resampling.Resampler):
-    """Copies weigh w / (w as a constant) / N, which carries the gradient of the weights on (Scibior, Wood 2021)."""
-
-    def num_uniforms(self, num_particles):
-        return resampling.systematic.num_uniforms(num_particles)
-
-    def __call__(self, state, log_weight, uniforms):
-        marked = torch.cat([state, (log_weight - log_weight.detach())[..., None]], -1)
-        drawn, equal = resampling.systematic(marked, log_weight, uniforms)
-        return drawn[..., :-1], equal + drawn[..., -1]
 
 
 def talker(chain, *, slow=0.2, fast=1.5):
