@@ -141,8 +141,10 @@ class SwitchingDynamics(Dynamics):
         def move(state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor | None]:
             check_event(state, (self.state_dim,), "state")
             check_event(noise, (self.noise_dim,), "noise")
-            shape = torch.broadcast_shapes(state.shape[:-1], noise.shape[:-1])
-            state, noise = state.expand(*shape, -1), noise.expand(*shape, -1)
+            shape = state.shape[:-1]
+            if shape != noise.shape[:-1]:  # asked before: broadcast_shapes imports for half a second
+                shape = torch.broadcast_shapes(shape, noise.shape[:-1])
+                state, noise = state.expand(*shape, -1), noise.expand(*shape, -1)
             before = state[..., -1]
             after, log_weight = draw(before, noise[..., -1])
             moved = self._moved(
