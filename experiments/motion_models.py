@@ -5,7 +5,7 @@ python -m experiments.motion_models
 For every model of S1's Table 1 three pictures: 50 walks of 4 s that the model draws by itself from the start of a
 true walk; the particles of a filter that hears where that talker is; and the same with a gap of silence, in which
 particles go on by the model alone, as in S1 Figure 5. Each line is what became of one particle from frame to frame.
-The switching models follow, told when the talker is silent.
+The switching models follow, told when the talker is silent; what they draw freely is a talker who speaks.
 """
 
 import json
@@ -81,7 +81,11 @@ def attempt(model: Dynamics, truth: Tensor, config: Config) -> tuple[list[Tensor
     spoken = ((t < config.silence[0]) | (t > config.silence[1])).float()
     generator = torch.Generator().manual_seed(config.seed)
     heard = truth + config.std * torch.randn(truth.shape, generator=generator)
-    tries = [follow(model, heard, speech, config) for speech in (0 * spoken, spoken**0, spoken)]
+    throughout = torch.ones_like(spoken)
+    tries = [
+        follow(model, heard, speech, weigh, config)
+        for speech, weigh in ((throughout, 0 * spoken), (throughout, throughout), (spoken, spoken))
+    ]
     (_, free), _, (_, gap) = tries
     last = int((spoken == 0).nonzero()[-1])
     error = (gap[last].mean(0) - truth[last]).norm()
@@ -95,8 +99,11 @@ def attempt(model: Dynamics, truth: Tensor, config: Config) -> tuple[list[Tensor
     return [torch.stack(pair) for pair in tries], {name: round(value, 3) for name, value in figures.items()}
 
 
-def follow(model: Dynamics, heard: Tensor, speech: Tensor, config: Config) -> tuple[Tensor, Tensor]:
-    """Return where the particles of each frame came from and where they went, both (T, N, 2), before resampling."""
+def follow(model: Dynamics, heard: Tensor, speech: Tensor, weigh: Tensor, config: Config) -> tuple[Tensor, Tensor]:
+    """Return where the particles of each frame came from and where they went, both (T, N, 2), before resampling.
+
+    Frames in which `weigh` (T,) is 0 leave the particles to the model, which is told of `speech` (T,).
+    """
     n = config.draws
     likelihood, resample = GaussianPosition(config.std), Adaptive(resampling.systematic)
     noise = NoiseStream(config.seed, n, model.noise_dim, 1)
@@ -105,13 +112,13 @@ def follow(model: Dynamics, heard: Tensor, speech: Tensor, config: Config) -> tu
     state, log_weight = model.from_kinematics(start), torch.full((n,), -math.log(n))
     moves, steps = iter(model.moves(Hearing(heard, speech), DT)), []
     observations = map(MeasuredPosition._make, zip(*likelihood.prepare(heard), strict=True))
-    for observation, speaks, move in zip(observations, speech, moves, strict=False):
+    for observation, weighs, move in zip(observations, weigh, moves, strict=False):
         before = model.kinematics(state).position
         normal, uniform = noise.frame()
         state, _ = move(state, normal)
         after = model.kinematics(state)
         steps.append((before.clone(), after.position.clone()))
-        if speaks:
+        if weighs:
             log_weight = torch.log_softmax(log_weight + likelihood(observation, after), -1)
             state, log_weight = resample(state, log_weight, uniform)
     came, went = zip(*steps, strict=True)

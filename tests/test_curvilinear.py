@@ -20,6 +20,7 @@ from probtrack.dynamics import (
     TurnAngle,
     WhiteNoise,
     euler,
+    lehmann2007,
 )
 from probtrack.errors import InputError, ShapeError, SingularLawError
 from probtrack.geometry import wrap_angle
@@ -475,3 +476,33 @@ def test_rejects_a_wrong_state(make):
         model.from_kinematics(Kinematics(torch.zeros(3), torch.zeros(2)))
     with pytest.raises(ShapeError, match=r"position must have shape \(\.\.\., 3\), got \(2,\)"):
         model.from_kinematics(Kinematics(torch.zeros(2), torch.zeros(3)))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("speed", [0.0, 1e-40, 1e-30, 1e-20, 1e-12, 9e-7, 2e-6])
+def test_a_talker_who_has_all_but_stopped_has_finite_gradients(speed, dtype):
+    velocity = torch.tensor([speed, -speed], dtype=dtype, requires_grad=True)
+    model = lehmann2007("CL-RWVE-RAAC").to(dtype)
+    state = model.from_kinematics(Kinematics(torch.zeros(2, dtype=dtype), velocity))
+    (gradient,) = torch.autograd.grad(state.sum(), velocity)
+    assert (gradient.abs() <= 1.1e6).all()
+    if velocity[0] != 0:
+        torch.testing.assert_close(state[3], torch.tensor(-math.pi / 4, dtype=dtype))
+
+
+def test_a_talker_who_stands_faces_where_it_looks():
+    standing = Kinematics(
+        torch.zeros(3, 2), torch.tensor([[0.0, -0.0], [-0.0, 0.0], [0.0, 1.0]]), torch.full((3,), 2.0)
+    )
+    phi = lehmann2007("CL-RWVE-RWTU").from_kinematics(standing)[:, 3]
+    torch.testing.assert_close(phi, torch.tensor([2.0, 2.0, math.pi / 2]))
+    assert (lehmann2007("CL-RWVE-RWTU").from_kinematics(standing._replace(modelled_heading=None))[:2, 3] == 0).all()
+
+
+def test_rejects_parts_of_another_kind():
+    with pytest.raises(InputError, match=r"turning a Turning such as TurnAngle.*got RandomWalk and RandomWalk"):
+        Curvilinear(RandomWalk(0.3), RandomWalk(0.2))
+    with pytest.raises(InputError, match=r"speed must be a ScalarProcess.*got float and TurnAngle"):
+        Curvilinear(1.0, TurnAngle(RandomWalk(0.2)))
+    with pytest.raises(InputError, match="min_speed must be at least 1e-6 m/s, got 1e-30"):
+        NormalAcceleration(RandomWalk(0.2), min_speed=1e-30)

@@ -18,7 +18,7 @@ from probtrack.dynamics import (
     exact,
     single_noise,
 )
-from probtrack.errors import InputError, SingularLawError
+from probtrack.errors import InputError, NotFiniteError, SingularLawError
 
 RATES = [1e-9, 1e-3, 0.2, 1.0, 10.0, 30.0, 3e3]
 STEPS = [1e-4, 0.032, 0.5, 20.0]
@@ -245,3 +245,10 @@ def test_what_has_no_solution_is_refused(discretise):
 def test_a_time_that_is_none_is_named(discretise, bad):
     with pytest.raises(InputError, match=f"dt must be finite and positive, got {bad}"):
         discretise(RandomWalk(0.4), 2, bad)
+
+
+def test_a_rate_that_has_diverged_is_named():
+    process = TimeCorrelated(1.0, 0.7)
+    torch.nn.init.constant_(process.log_rate, torch.nan)
+    with pytest.raises(NotFiniteError, match="the rate of a process is NaN or infinite"):
+        exact(process, 2, 0.1)

@@ -209,3 +209,9 @@ def test_rejects_vectors_and_priors_that_leave_nothing():
         law_of([0.0, 1.0, 0.0, 0.0], present=[False, True, True])
     with pytest.raises(InputError, match=r"clutter_probability must be in \[0, 1\], got 1.2"):
         equal_priors(1.2, 3)
+
+
+@pytest.mark.parametrize("peaks", [0, -1, 1.5])
+def test_equal_priors_want_at_least_one_peak(peaks):
+    with pytest.raises(InputError, match="peaks must be an integer of at least 1"):
+        equal_priors(0.3, peaks)

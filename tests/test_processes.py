@@ -180,3 +180,10 @@ def test_white_noise_has_no_differential_equation():
 def test_repr_shows_physical_values():
     shown = [repr(make()) for make in PROCESSES.values()]
     assert shown == ["RandomWalk(diffusion=0.7)", "TimeCorrelated(rate=1.3/s, std=0.6)", "WhiteNoise(intensity=0.4)"]
+
+
+def test_rejects_what_is_not_one_number():
+    with pytest.raises(InputError, match=r"diffusion must be one number, got shape \(2,\)"):
+        RandomWalk(torch.ones(2))
+    with pytest.raises(InputError, match="rate must be a number, got 'fast'"):
+        TimeCorrelated("fast", 0.7)

@@ -293,3 +293,9 @@ def test_rejects_times_below_a_frame():
 def test_rejects_times_of_fewer_than_two_modes(times):
     with pytest.raises(ShapeError, match=r"times must have shape \(S,\) with S at least 2"):
         MarkovChain.dwelling(times)
+
+
+@pytest.mark.parametrize("dt", [0.032, 1.0, 1000.0, 32_000.0])
+def test_rows_sum_to_one_in_float32_however_long_the_step(dt):
+    chain = MarkovChain([0.3, 0.7], [[0.9, 0.1], [0.2, 0.8]]).float()
+    torch.testing.assert_close(chain(dt).exp().sum(-1), torch.ones(3, dtype=torch.float32), rtol=0, atol=1e-6)

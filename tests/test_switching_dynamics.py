@@ -22,6 +22,7 @@ from probtrack.dynamics import (
     TimeCorrelated,
     TurnAngle,
     WithHeading,
+    euler,
     lehmann2007,
 )
 from probtrack.errors import InputError, ShapeError, SingularLawError
@@ -639,3 +640,71 @@ def test_a_model_that_fails_on_others_particles_leaves_them_alone():
         moved = model.transition(0.032)(state, torch.randn(30, model.noise_dim))
         assert torch.isfinite(moved).all()
         assert torch.equal(moved[:, -1], mode)
+
+
+def test_the_state_that_stands_in_for_others_is_of_the_first_particles_own_layout():
+    class Positive(Rooted):
+        """Knows only talkers right of the origin."""
+
+        def from_kinematics(self, kinematics):
+            assert (kinematics.position[..., 0] > 0).all()
+            return super().from_kinematics(kinematics)
+
+    model = SwitchingDynamics(
+        [WithHeading(lehmann2007("CU-LAN")), lehmann2007("CL-RWVE-RAAC"), Positive()],
+        MarkovChain([0.2, 0.3, 0.5], torch.eye(3)),
+    )
+    right = Kinematics(torch.rand(7, 2) + 1, torch.randn(7, 2))
+    state = torch.nn.functional.pad(lehmann2007("CL-RWVE-RAAC").from_kinematics(right), (0, 2))
+    state[:, -1] = 1  # of the second model's layout, the first particle too
+    torch.testing.assert_close(model.kinematics(state).velocity, right.velocity)
+
+
+def test_a_talker_who_stopped_long_ago_walks_on_with_finite_gradients():
+    stopped = CoordinateUncoupled(DrivenVelocity(TimeCorrelated(10.0, 0.0), euler)).float()
+    chain = MarkovChain([0.5, 0.5], [[0.99, 0.01], [0.0, 1.0]])
+    model = SwitchingDynamics([stopped, lehmann2007("CL-RWVE-RAAC")], chain).float()
+    state = model.from_kinematics(Kinematics(torch.zeros(40, 2), torch.ones(40, 2)))
+    state, step = state.float(), model.transition(0.032)
+    for _ in range(400):
+        state = step(state, torch.randn(40, model.noise_dim, dtype=torch.float32))
+    model.kinematics(state).position.sum().backward()
+    gradients = [p.grad for p in model.parameters() if p.grad is not None]
+    assert all(torch.isfinite(g).all() for g in gradients)
+    assert len(gradients) > 2
+
+
+def test_a_model_put_in_later_is_the_one_that_moves():
+    model = SwitchingDynamics([lehmann2007("CU-LAN")], MarkovChain([1.0], [[1.0]]))
+    model.models[0] = lehmann2007("CU-LAN-ORIG")
+    state, noise = model.from_kinematics(Kinematics(torch.zeros(5, 2), torch.ones(5, 2))), torch.randn(5, 3)
+    expected = lehmann2007("CU-LAN-ORIG").transition(0.1)(state[:, :4], noise[:, :2])
+    torch.testing.assert_close(model.transition(0.1)(state, noise)[:, :4], expected)
+
+
+def test_rejects_a_model_that_does_not_say_its_axes():
+    class Silent(Dynamics):
+        """Says its sizes but not its axes."""
+
+        state_dim = noise_dim = 2
+        forward = kinematics = from_kinematics = None
+
+    for make in (WithHeading, lambda m: SwitchingDynamics([m], MarkovChain([1.0], [[1.0]]))):
+        with pytest.raises(InputError, match="Silent must say its number of spatial `axes`"):
+            make(Silent())
+
+
+def test_rejects_speech_of_another_batch():
+    model = SwitchingDynamics([lehmann2007("CU-LAN")] * 2, MarkovChain([0.5, 0.5], ROWS_2, silence=ROWS_2))
+    move = next(iter(model.moves(Spoken(torch.rand(4, 2)), 0.1)))
+    with pytest.raises(ShapeError, match=r"speech must have the belief's batch \(3,\), got \(2,\)"):
+        move(torch.zeros(3, 7, 5), torch.zeros(3, 7, 3))
+
+
+ROWS_2 = [[0.7, 0.3], [0.2, 0.8]]
+
+
+class Spoken(NamedTuple):
+    """What a chain listens to."""
+
+    speech: torch.Tensor

@@ -8,11 +8,11 @@ import pytest
 import torch
 from oracles.joint_gaussian import JointGaussian
 from oracles.mode_paths import answers
-from switching_parts import Heard, Measured, StopGradient
+from switching_parts import Heard, Measured
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenAcceleration, DrivenVelocity, Kinematics, TimeCorrelated
 from probtrack.dynamics import single_noise as printed
-from probtrack.filters import Adaptive, Belief, ParticleFilter, resampling
+from probtrack.filters import Adaptive, Belief, ParticleFilter, StopGradient, resampling
 from probtrack.switching import MarkovChain, SwitchingDynamics
 
 DT, STD = 0.3, 0.15
@@ -214,7 +214,12 @@ def gradients(particle_filter, runs, frames=4):
 
 @pytest.mark.parametrize(
     ("resample", "explore", "known"),
-    [(NEVER, 0.0, 1), (NEVER, 0.4, 1), (StopGradient(), 0.0, 7), (Adaptive(StopGradient(), 0.5), 0.4, 7)],
+    [
+        (NEVER, 0.0, 1),
+        (NEVER, 0.4, 1),
+        (StopGradient(resampling.systematic), 0.0, 7),
+        (Adaptive(StopGradient(resampling.systematic), 0.5), 0.4, 7),
+    ],
 )
 def test_gradient_of_the_evidence_is_that_of_the_enumeration(resample, explore, known):
     particle_filter = switching_filter(2000, resample=resample, explore=explore)
@@ -222,6 +227,13 @@ def test_gradient_of_the_evidence_is_that_of_the_enumeration(resample, explore, 
     assert_mean(drawn, wanted)
     of_chain = slice(-11, -1)  # the ten numbers before that of the measurement's error
     assert (wanted[of_chain].abs() > known * drawn[:, of_chain].std(0) / 25**0.5).all()
+
+
+def test_copies_of_equal_weight_forget_what_the_chain_did():
+    particle_filter = switching_filter(2000, resample=ALWAYS)
+    wanted, drawn = exact_gradient(particle_filter), gradients(particle_filter, 25)
+    away = (drawn.mean(0) - wanted).abs() / (drawn.std(0) / 25**0.5)
+    assert away[-11:-1].max() > 20
 
 
 @pytest.mark.parametrize("explore", [0.0, 0.4])

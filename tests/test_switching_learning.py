@@ -4,10 +4,10 @@ import math
 
 import pytest
 import torch
-from switching_parts import Heard, Measured, StopGradient
+from switching_parts import Heard, Measured
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenAcceleration, DrivenVelocity, Kinematics, TimeCorrelated
-from probtrack.filters import ParticleFilter
+from probtrack.filters import ParticleFilter, StopGradient, resampling
 from probtrack.switching import MarkovChain, SwitchingDynamics
 
 DT = 0.1
@@ -86,7 +86,9 @@ def observed(chain, speech=None):
 
 def climb(model, seen, steps=15):
     """Take some steps up the evidence, each with other random numbers."""
-    particle_filter = ParticleFilter(model, Measured(0.1), num_particles=100, resample=StopGradient())
+    particle_filter = ParticleFilter(
+        model, Measured(0.1), num_particles=100, resample=StopGradient(resampling.systematic)
+    )
     optimiser = torch.optim.Adam(model.chain.parameters(), lr=0.25)
     for seed in range(steps):
         noise = particle_filter.noise(torch.arange(24) + 100 * seed)

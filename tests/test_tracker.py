@@ -320,3 +320,9 @@ def test_samples_must_fit():
         machine(torch.randn(4, 4000))
     with pytest.raises(NotFiniteError, match="samples hold NaN"):
         machine(torch.full((5, 4000), NAN))
+
+
+def test_chains_are_for_the_frames_of_the_tracker():
+    chain = tracker(model="odas", hop=160, frame_length=400).filter.dynamics.chain
+    assert chain.dt == 0.01
+    torch.testing.assert_close(chain(0.01).exp(), torch.tensor([[0.5, 0.3, 0.2]] * 4))

@@ -135,3 +135,11 @@ def test_works_in_a_pyro_model():
 def test_rejects_an_angle_that_is_no_variable(angle):
     with pytest.raises(InputError, match=f"angle must be the index of a variable, 0 to 2, got {angle}"):
         WrappedGaussian(law_of(0.5).base, angle)
+
+
+@pytest.mark.parametrize("spread", [1e-20, 1e-8, 1e4, 1e8, 1e18])
+def test_extreme_spreads_are_never_nan_in_float32(spread):
+    gain = torch.tensor([[spread, 0.0], [0.5 * spread, spread]], dtype=torch.float32)
+    law = WrappedGaussian(LinearGaussian(torch.zeros(2, dtype=torch.float32), gain), angle=0)
+    value = law.sample(torch.Size([5]))
+    assert not law.log_prob(value).isnan().any()

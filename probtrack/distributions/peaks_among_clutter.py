@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.distributions import Categorical, Distribution, constraints
 from torch.types import _size
 
+from probtrack._checks import check_int
 from probtrack.distributions.target_or_clutter import EitherSupport, log_density, log_sum, mixture_moments, unchecked
 from probtrack.errors import InputError, ShapeError
 
@@ -151,6 +152,7 @@ def equal_priors(clutter_probability: Tensor | float, peaks: int) -> Tensor:
     [4.0, 2.0, 2.0, 2.0]
     """
     q = torch.as_tensor(clutter_probability)
+    check_int(peaks, "peaks", low=1)
     if not ((q >= 0) & (q <= 1)).all():
         raise InputError(f"clutter_probability must be in [0, 1], got {clutter_probability}")
     each = ((1 - q) / peaks)[..., None].expand(*q.shape, peaks)

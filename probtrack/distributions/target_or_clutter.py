@@ -46,11 +46,16 @@ class TargetOrClutter(Distribution):
     has_rsample = False
 
     def __init__(
-        self, target: Distribution, clutter: Distribution, logit_clutter: Tensor, validate_args: bool | None = None
+        self,
+        target: Distribution,
+        clutter: Distribution,
+        logit_clutter: Tensor | float,
+        validate_args: bool | None = None,
     ) -> None:
         if target.event_shape != clutter.event_shape:
             expected, got = tuple(target.event_shape), tuple(clutter.event_shape)
             raise ShapeError(f"clutter must have the event shape of target, {expected}, got {got}")
+        logit_clutter = torch.as_tensor(logit_clutter)
         batch = torch.broadcast_shapes(target.batch_shape, clutter.batch_shape, logit_clutter.shape)
         self.target, self.clutter = unchecked(target, batch), unchecked(clutter, batch)
         self.logit_clutter = logit_clutter.expand(batch)

@@ -9,8 +9,8 @@ from torch.distributions import Distribution, constraints
 from torch.types import _size
 
 from probtrack.distributions.linear_gaussian import LinearGaussian
-from probtrack.distributions.wrapped_normal import wrap
 from probtrack.errors import InputError
+from probtrack.geometry import wrap_angle
 
 _MAX_WINDINGS = 32
 _TAIL = 9.0  # beyond nine standard deviations a normal density is nothing, even in float64
@@ -102,6 +102,7 @@ class WrappedGaussian(Distribution):
         before, at, after = self._log_terms(value.detach(), around).detach()
         # A parabola in k, whose top is the winding nearest to the conditional mean of the angle.
         top = torch.round((after - before) / (2 * (2 * at - before - after)))
+        top = torch.where(top.isfinite(), top, 0.0)  # beyond the precision of the numbers there is no curvature
         turns = self._windings(self.base.variance[..., self.angle].detach()).to(value)
         return torch.logsumexp(self._log_terms(self._turned(value, top), turns), 0)
 
@@ -120,7 +121,7 @@ class WrappedGaussian(Distribution):
         return value + 2 * math.pi * turns[..., None] * self._axis(value)
 
     def _wrap(self, value: Tensor) -> Tensor:
-        return torch.where(self._axis(value) > 0, wrap(value), value)
+        return torch.where(self._axis(value) > 0, wrap_angle(value), value)
 
     def _axis(self, value: Tensor) -> Tensor:
         return (torch.arange(self.event_shape[0], device=value.device) == self.angle).to(value)

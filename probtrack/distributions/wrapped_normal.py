@@ -9,6 +9,8 @@ from torch.distributions import Distribution, constraints
 from torch.distributions.utils import broadcast_all
 from torch.types import _size
 
+from probtrack.geometry import wrap_angle
+
 # At this spread both series below, as long as they are, leave out less than 1e-16 of the density.
 _SWITCH = math.sqrt(math.pi)
 _WINDINGS = 2
@@ -72,11 +74,11 @@ class WrappedNormal(Distribution):
 
     @property
     def mean(self) -> Tensor:
-        return wrap(self.loc)
+        return wrap_angle(self.loc)
 
     @property
     def mode(self) -> Tensor:
-        return wrap(self.loc)
+        return wrap_angle(self.loc)
 
     @property
     def variance(self) -> Tensor:
@@ -85,7 +87,7 @@ class WrappedNormal(Distribution):
     def log_prob(self, value: Tensor) -> Tensor:
         if self._validate_args:
             self._validate_sample(value)
-        offset = wrap(value - self.loc)
+        offset = wrap_angle(value - self.loc)
         is_narrow = self.scale <= _SWITCH
         narrow = _sum_of_windings(offset, torch.where(is_narrow, self.scale, _SWITCH))
         wide = _fourier_series(offset, torch.where(is_narrow, _SWITCH, self.scale))
@@ -93,19 +95,7 @@ class WrappedNormal(Distribution):
 
     def rsample(self, sample_shape: _size = torch.Size()) -> Tensor:  # noqa: B008
         shape = self._extended_shape(sample_shape)
-        return wrap(self.loc + self.scale * torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device))
-
-
-def wrap(angle: Tensor) -> Tensor:
-    """Return `angle` in [-pi, pi), with gradient 1 everywhere.
-
-    It is `probtrack.geometry.wrap_angle`, which densities, below geometry, cannot import, and leaves an
-    angle that is in [-pi, pi) as it is, to the last bit.
-    """
-    with torch.no_grad():
-        wrapped = angle - 2 * math.pi * torch.floor((angle + math.pi) / (2 * math.pi))
-        wrapped = torch.where((wrapped < -math.pi) | (wrapped >= math.pi), -math.pi, wrapped)  # if rounded out
-    return wrapped + (angle - angle.detach())
+        return wrap_angle(self.loc + self.scale * torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device))
 
 
 def _sum_of_windings(offset: Tensor, scale: Tensor) -> Tensor:

@@ -12,6 +12,8 @@ from torch.distributions import Distribution, Independent, MultivariateNormal, N
 from probtrack.distributions import LinearGaussian, Pushforward
 from probtrack.errors import InputError
 
+_STANDING = 1e-6  # m/s
+
 Transition = Callable[[Tensor, Tensor], Tensor]
 """One step of a motion model, `(state (..., D), noise (..., noise_dim)) -> state (..., D)`."""
 
@@ -103,11 +105,29 @@ class Dynamics(nn.Module, abc.ABC):
         return None
 
 
-def direction(vector: Tensor) -> Tensor:
-    """Return the angle of `vector` (..., 2 or 3) in the plane [rad]; 0, with zero gradient, of no vector."""
+def direction(vector: Tensor, *, standing: Tensor | None = None) -> Tensor:
+    """Return the angle of `vector` (..., 2 or 3) in the plane [rad].
+
+    Below a micrometre a second, where the gradient would be a million times that of a walk and overflow in the end,
+    the angle is a constant.
+
+    Args:
+        vector: Velocities [m/s].
+        standing: Angle of no vector at all (...) [rad], 0 by default.
+    """
     x, y = vector[..., 0], vector[..., 1]
-    still = (x == 0) & (y == 0)  # where the gradient of atan2 is NaN
-    return torch.atan2(torch.where(still, 0.0, y), torch.where(still, 1.0, x))
+    still = torch.maximum(x.abs(), y.abs()) < _STANDING
+    angle = torch.atan2(torch.where(still, y.detach(), y), torch.where(still, x.detach(), x))
+    none = (x == 0) & (y == 0)  # atan2 would tell zeros by their signs
+    return torch.where(none, torch.zeros_like(angle) if standing is None else standing, angle)
+
+
+def checked_axes(model: Dynamics) -> int:
+    """Return the number of axes of `model`, or raise `InputError` if its class does not say it."""
+    axes = getattr(model, "axes", None)
+    if not isinstance(axes, int):
+        raise InputError(f"{type(model).__name__} must say its number of spatial `axes` to be joined with other models")
+    return axes
 
 
 def driven_by(law: Distribution, noise: Tensor) -> Tensor:

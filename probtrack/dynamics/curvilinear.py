@@ -40,9 +40,9 @@ class Curvilinear(Dynamics):
 
     >>> from probtrack.dynamics import RandomWalk, TurnAngle
     >>> model = Curvilinear(RandomWalk(0.1), TurnAngle(RandomWalk(0.5)))
-    >>> state = model.from_kinematics(Kinematics(torch.zeros(2), torch.tensor([1e-9, 2.0])))
+    >>> state = model.from_kinematics(Kinematics(torch.zeros(2), torch.tensor([2.0, 0.0])))
     >>> [round(x, 3) for x in model(state, 0.5).at_noise(torch.zeros(2)).tolist()]
-    [0.0, 1.0, 2.0, 1.571]
+    [1.0, 0.0, 2.0, 0.0]
     """
 
     def __init__(
@@ -51,6 +51,11 @@ class Curvilinear(Dynamics):
         super().__init__()
         if not isinstance(axes, int) or axes not in (2, 3):
             raise InputError(f"axes must be 2 or 3, got {axes}")
+        if not isinstance(speed, ScalarProcess) or not isinstance(turning, Turning):
+            raise InputError(
+                "speed must be a ScalarProcess and turning a Turning such as TurnAngle(process), "
+                f"got {type(speed).__name__} and {type(turning).__name__}"
+            )
         if axes == 2 and height is not None:
             raise InputError("height needs axes=3, got axes=2")
         if axes == 3 and height is None:
@@ -77,6 +82,8 @@ class Curvilinear(Dynamics):
         first, last = self.axes + 1, self.axes + 1 + self.turning.num_variables
 
         def step(state: Tensor, noise: Tensor) -> Tensor:
+            check_event(state, (self.state_dim,), "state")
+            check_event(noise, (self.noise_dim,), "noise")
             # variables first, as clouds lie in memory: everything here runs along rows
             rows, numbers = state.movedim(-1, 0).unbind(0), noise.movedim(-1, 0)
             speed = torch.addcmul(decay * rows[self.axes], std, numbers[0])
@@ -104,7 +111,7 @@ class Curvilinear(Dynamics):
     def from_kinematics(self, kinematics: Kinematics) -> Tensor:
         """Return the state (..., D) with that position and velocity; acceleration and higher derivatives are zero.
 
-        A talker who stands faces phi = 0.
+        The direction of a talker who stands is the modelled heading if there is one, or else phi = 0.
         """
         position, velocity = kinematics.position, kinematics.velocity
         check_event(position, (self.axes,), "position")
@@ -112,7 +119,7 @@ class Curvilinear(Dynamics):
         known = [
             *position.unbind(-1),
             _speed(velocity),
-            direction(velocity),
+            direction(velocity, standing=kinematics.modelled_heading),
             *[torch.zeros_like(velocity[..., 0])] * (self.turning.num_variables - 1),
             *velocity[..., 2:].unbind(-1),
         ]

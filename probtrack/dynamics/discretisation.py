@@ -8,6 +8,7 @@ from torch import Tensor
 
 from probtrack.dynamics.integrals import covariances, means
 from probtrack.dynamics.processes import ScalarProcess, seconds
+from probtrack.errors import NotFiniteError
 
 Discretisation = Callable[[ScalarProcess, int, float | Tensor], tuple[Tensor, Tensor]]
 """`(process, order K, dt (...)) -> (matrix (..., K, K), gain (..., K, J))` of a coordinate whose derivative K - 1
@@ -38,6 +39,10 @@ def exact(process: ScalarProcess, order: int, dt: float | Tensor) -> tuple[Tenso
     step = seconds(dt, rate)
     # float64: the variance of the position is of the order of T^3 or T^5, and closed forms cancel
     elapsed = rate.double() * step.double()
+    if not elapsed.detach().isfinite().all():
+        raise NotFiniteError(
+            "the rate of a process is NaN or infinite: a fit has diverged, or a parameter is not finite"
+        )
     powers = _powers(step.double(), order)
     root = torch.linalg.cholesky(covariances(elapsed, order))
     gain = intensity.double() * step.double().sqrt()[..., None, None] * powers[..., :, None] * root
@@ -100,7 +105,7 @@ def _drift(process: ScalarProcess, order: int, dt: float | Tensor) -> Tensor:
 def _chain(step: Tensor, order: int, *, last: Tensor) -> Tensor:
     """Return the upper triangular matrix of T^(j - i), j > i, with its last column times `last` (..., K).
 
-    The rows but the last are Taylor's: up to order 3 no factorial but 1 stands before the last column.
+    The columns but the last are Taylor's: up to order 3 no factorial but 1 stands in them.
     """
     exponents = (torch.arange(order)[None, :] - torch.arange(order)[:, None]).to(step)
     powers = torch.where(exponents >= 0, step[..., None, None] ** exponents.clamp_min(0), torch.zeros(()).to(step))

@@ -9,7 +9,7 @@ from torch import Tensor
 from probtrack._checks import check_event
 from probtrack.distributions import Concatenated, LinearGaussian, WrappedGaussian
 from probtrack.dynamics.axis_models import AxisModel, DrivenVelocity
-from probtrack.dynamics.base import Dynamics, Kinematics, Move, Transition
+from probtrack.dynamics.base import Dynamics, Kinematics, Move, Transition, checked_axes
 from probtrack.dynamics.discretisation import euler
 from probtrack.dynamics.processes import TimeCorrelated
 from probtrack.dynamics.uncoupled import axis_sizes
@@ -50,7 +50,7 @@ class WithHeading(Dynamics):
         self.motion = motion
         self.turning = DrivenVelocity(TimeCorrelated(rate=10.0, std=0.1), euler) if turning is None else turning
         self._order, self._noises = axis_sizes(self.turning)
-        self.axes = motion.axes
+        self.axes = checked_axes(motion)
         self.state_dim = motion.state_dim + self._order
         self.noise_dim = motion.noise_dim + self._noises
 
@@ -69,7 +69,13 @@ class WithHeading(Dynamics):
         step = self._turned(dt)
         move = self.motion.transition(dt)
         size, noises = self.motion.state_dim, self.motion.noise_dim
-        return lambda state, noise: step(move(state[..., :size], noise[..., :noises]), state, noise)
+
+        def turned(state: Tensor, noise: Tensor) -> Tensor:
+            check_event(state, (self.state_dim,), "state")
+            check_event(noise, (self.noise_dim,), "noise")
+            return step(move(state[..., :size], noise[..., :noises]), state, noise)
+
+        return turned
 
     def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
         step = self._turned(dt)
@@ -82,6 +88,8 @@ class WithHeading(Dynamics):
         size, noises = self.motion.state_dim, self.motion.noise_dim
 
         def joined(state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor | None]:
+            check_event(state, (self.state_dim,), "state")
+            check_event(noise, (self.noise_dim,), "noise")
             moved, log_weight = move(state[..., :size], noise[..., :noises])
             return step(moved, state, noise), log_weight
 

@@ -67,11 +67,12 @@ def lehmann2007(name: str, axes: int = 2, dt: float = 0.032, *, printed: bool = 
     )
     """
     root = math.sqrt(float(as_positive(dt, "dt")))
+    known = [*_UNCOUPLED, *_CURVILINEAR]
+    if name not in known:
+        raise InputError(f"name must be one of {', '.join(known)}, got {name!r}")
     if name in _UNCOUPLED:
         driven, process, discretise = _UNCOUPLED[name](root)
         return CoordinateUncoupled(driven(process, discretise if printed else exact), axes)
-    if name not in _CURVILINEAR:
-        raise InputError(f"name must be one of {', '.join([*_UNCOUPLED, *_CURVILINEAR])}, got {name!r}")
     if not printed:
         raise InputError(f"printed must be True for {name}: a curvilinear motion has no exact step in closed form")
     return Curvilinear(*_CURVILINEAR[name](root), axes=axes)

@@ -82,7 +82,7 @@ class RandomWalk(ScalarProcess):
 
     def __init__(self, diffusion: float) -> None:
         super().__init__()
-        self.log_diffusion = nn.Parameter(as_non_negative(diffusion, "diffusion").log())
+        self.log_diffusion = _log(diffusion, "diffusion")
 
     def forward(self, dt: float | Tensor) -> ProcessStep:
         step = seconds(dt, self.log_diffusion)
@@ -123,8 +123,8 @@ class TimeCorrelated(ScalarProcess):
 
     def __init__(self, rate: float, std: float) -> None:
         super().__init__()
-        self.log_rate = nn.Parameter(as_non_negative(rate, "rate").log())
-        self.log_std = nn.Parameter(as_non_negative(std, "std").log())
+        self.log_rate = _log(rate, "rate")
+        self.log_std = _log(std, "std")
 
     def forward(self, dt: float | Tensor) -> ProcessStep:
         elapsed = self.log_rate.exp() * seconds(dt, self.log_rate)
@@ -164,7 +164,7 @@ class WhiteNoise(ScalarProcess):
 
     def __init__(self, intensity: float) -> None:
         super().__init__()
-        self.log_intensity = nn.Parameter(as_non_negative(intensity, "intensity").log())
+        self.log_intensity = _log(intensity, "intensity")
 
     def forward(self, dt: float | Tensor) -> ProcessStep:
         step = seconds(dt, self.log_intensity)
@@ -183,6 +183,14 @@ def seconds(dt: float | Tensor, parameter: Tensor) -> Tensor:
     """Return `dt` as a tensor like `parameter`, or raise `InputError` unless it is finite and > 0."""
     as_positive(dt, "dt")
     return torch.as_tensor(dt, dtype=parameter.dtype, device=parameter.device)
+
+
+def _log(value: float, name: str) -> nn.Parameter:
+    """Return the logarithm of `value` as a parameter, or raise `InputError` unless it is one number >= 0."""
+    number = as_non_negative(value, name)
+    if number.ndim > 0:
+        raise InputError(f"{name} must be one number, got shape {tuple(number.shape)}")
+    return nn.Parameter(number.log())
 
 
 def _root(x: Tensor) -> Tensor:

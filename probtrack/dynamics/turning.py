@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from probtrack._checks import as_positive
 from probtrack.dynamics.processes import ScalarProcess, seconds
+from probtrack.errors import InputError
 from probtrack.geometry import wrap_angle
 
 Turn = Callable[[list[Tensor], Tensor, Tensor], list[Tensor]]
@@ -66,7 +67,7 @@ class NormalAcceleration(Turning):
 
     Args:
         process: What the acceleration does [m/s^2]: white noise, a random walk or a time-correlated process.
-        min_speed: v_0, the speed of fastest turning [m/s], a constant.
+        min_speed: v_0, the speed of fastest turning [m/s], a constant of at least 1e-6.
 
     References:
         S1 eq. 27, 28; second rows of eq. 29 (white noise), 30 (random walk), 31 (time-correlated).
@@ -78,6 +79,8 @@ class NormalAcceleration(Turning):
         super().__init__()
         self.process = process
         self.min_speed = float(as_positive(min_speed, "min_speed"))
+        if self.min_speed < 1e-6:  # its square must not vanish in float32
+            raise InputError(f"min_speed must be at least 1e-6 m/s, got {min_speed}")
 
     def turn(self, dt: float | Tensor) -> Turn:
         decay, std = self.process(dt)

@@ -64,6 +64,8 @@ class CoordinateUncoupled(Dynamics):
             return lambda state, noise: (matrix @ state[..., None] + gain @ noise[..., None])[..., 0]
 
         def step(state: Tensor, noise: Tensor) -> Tensor:
+            check_event(state, (self.state_dim,), "state")
+            check_event(noise, (self.noise_dim,), "noise")
             if state.ndim < 2 or state.shape[:-1] != noise.shape[:-1]:
                 return state @ matrix.mT + noise @ gain.mT
             # Variables first in memory, whatever the batch: one product for all clouds, and rows to run along.

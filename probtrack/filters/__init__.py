@@ -13,3 +13,4 @@ from probtrack.filters.particle import Belief as Belief
 from probtrack.filters.particle import ParticleFilter as ParticleFilter
 from probtrack.filters.resampling import Adaptive as Adaptive
 from probtrack.filters.resampling import Resampler as Resampler
+from probtrack.filters.resampling import StopGradient as StopGradient

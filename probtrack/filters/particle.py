@@ -113,7 +113,7 @@ class ParticleFilter(nn.Module):
     def advance(self, belief: Belief, observations: Any, dt: float, noise: NoiseStream) -> tuple[Belief, Track]:
         """Return the belief after a block of frames and the track over it, `dt` [s] a frame.
 
-        However a sequence is cut into blocks, the numbers are the same.
+        However a sequence is cut into blocks, clouds are the same, and their means but for rounding.
 
         Raises:
             InputError: for a time step that is not positive, or no frame.

@@ -134,7 +134,8 @@ def _over(matrix: Tensor, steps: float) -> Tensor:
     # a quotient of floats, of time steps that may have been float32, misses a whole number
     whole = round(steps) if math.isclose(steps, round(steps), rel_tol=_ROUNDING) else math.floor(steps)
     part = max(steps - whole, 0.0)
-    moved: Tensor = torch.linalg.matrix_power(matrix, whole)
+    moved: Tensor = torch.linalg.matrix_power(matrix.double(), whole)  # in float32 rows of high powers lose their sum
+    moved = (moved / moved.sum(-1, keepdim=True)).to(matrix)
     return moved @ torch.lerp(torch.eye(len(matrix)).to(matrix), matrix, part) if part > _ROUNDING * steps else moved
 
 

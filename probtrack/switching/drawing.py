@@ -5,6 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from probtrack.errors import ShapeError
+
 Draw = Callable[[Tensor, Tensor], tuple[Tensor, Tensor | None]]
 """`(mode before (*batch, N), standard normal numbers (*batch, N)) -> (mode, log weight or None)`; modes are whole
 numbers of floating type."""
@@ -55,6 +57,8 @@ def _looked_up(table: Tensor, index: Tensor) -> Tensor:
     rows = index.int()
     if table.ndim > 1:
         batch, size = index.shape[:-1], table.shape[-1]
+        if any(n not in (1, m) for n, m in zip(reversed(table.shape[:-1]), reversed(batch), strict=False)):
+            raise ShapeError(f"speech must have the belief's batch {tuple(batch)}, got {tuple(table.shape[:-1])}")
         starts = torch.arange(0, batch.numel() * size, size, dtype=torch.int32, device=index.device)
         rows = rows + starts.view(*batch, 1)
         table = table.expand(*batch, size)

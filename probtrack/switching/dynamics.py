@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from probtrack._checks import check_event
 from probtrack.distributions import Switched
 from probtrack.dynamics import Dynamics, Kinematics, Move, Transition
+from probtrack.dynamics.base import checked_axes
 from probtrack.errors import InputError
 from probtrack.switching.chain import MarkovChain, one_time_step
 from probtrack.switching.drawing import drawn_from
@@ -27,7 +28,8 @@ class SwitchingDynamics(Dynamics):
 
     Modes are drawn and never relaxed. Gradients reach the chain by importance weights: a mode is drawn from a law q
     that is taken as fixed, and the particle is weighted by p / q, which is 1 for `explore` = 0 but carries the
-    gradient of log p.
+    gradient of log p. To learn a chain from the filter's evidence, resample by `StopGradient`: copies of equal weight
+    forget the gradient of all weights before, which is most of the chain's.
 
     Args:
         models: S motion models with the same number of axes.
@@ -58,18 +60,21 @@ class SwitchingDynamics(Dynamics):
         super().__init__()
         if len(models) != chain.num_modes:
             raise InputError(f"models must be as many as the modes of the chain, {chain.num_modes}, got {len(models)}")
-        axes = [model.axes for model in models]
+        axes = [checked_axes(model) for model in models]
         if len(set(axes)) > 1:
             raise InputError(f"models must have one number of axes, got {', '.join(map(str, axes))}")
         if not 0 <= explore < 1:
             raise InputError(f"explore must be in [0, 1), got {explore}")
         self.models, self.chain, self.explore = nn.ModuleList(models), chain, float(explore)
         self.axes, self.num_modes = axes[0], len(models)
-        self._parts: list[Dynamics] = list(models)  # nn.ModuleList forgets the type, and is slow to walk
         self._alike = len(models) == 1 or (models[0].layout is not None and len({m.layout for m in models}) == 1)
         self._models_heading = any(_models_heading(model) for model in models)
         self.state_dim = max(model.state_dim for model in models) + 1
         self.noise_dim = max(model.noise_dim for model in models) + 1
+
+    @property
+    def _parts(self) -> list[Dynamics]:
+        return cast(list[Dynamics], list(self.models))
 
     def forward(self, state: Tensor, dt: float | Tensor) -> Switched:
         """Return the law of the next state over `dt`.

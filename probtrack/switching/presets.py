@@ -96,13 +96,13 @@ def moving_and_stopped(
     return SwitchingDynamics(models, MarkovChain.dwelling([moving, stopped], dt=dt))
 
 
-PRESETS: dict[str, Callable[[int], SwitchingDynamics]] = {
+PRESETS: dict[str, Callable[..., SwitchingDynamics]] = {
     "speech-silence": speech_and_silence,
     "teleconference": teleconference,
     "odas": odas,
     "moving-stopped": moving_and_stopped,
 }
-"""Name -> switching model, given the number of axes."""
+"""Name -> switching model, called with the number of axes and the time between frames, `(axes, dt=...)`."""
 
 
 def _listening(dt: float) -> MarkovChain:

@@ -113,7 +113,7 @@ def lehmann2007(
     if resample not in _SCHEMES:
         raise InputError(f"resample must be one of {', '.join(_SCHEMES)}, got {resample!r}")
     particle_filter = ParticleFilter(
-        _motion(model, where.axes),
+        _motion(model, where.axes, dt=hop / fs),
         SteeredPowerLikelihood(power, where, exponent=exponent, keep_out=keep_out),
         num_particles=num_particles,
         resample=Adaptive(_SCHEMES[resample], threshold),
@@ -122,9 +122,10 @@ def lehmann2007(
     return Tracker(FrontEnd(stft, gcc, detector), particle_filter, where, fs=fs)
 
 
-def _motion(model: str, axes: int) -> dynamics.Dynamics:
+def _motion(model: str, axes: int, *, dt: float) -> dynamics.Dynamics:
+    """Return the model of that name; chains are for the tracker's own frames, Table 1 for those of S1."""
     make = switching.PRESETS.get(model)
-    return dynamics.lehmann2007(model, axes) if make is None else make(axes)
+    return dynamics.lehmann2007(model, axes) if make is None else make(axes, dt=dt)
 
 
 def _height(array: MicrophoneArray, region: Region, height: float | None, three_d: bool) -> float | None:

@@ -8,6 +8,7 @@ from probtrack.filters.resampling.multinomial import multinomial as multinomial
 from probtrack.filters.resampling.multinomial import multinomial_ends as multinomial_ends
 from probtrack.filters.resampling.residual import residual as residual
 from probtrack.filters.resampling.residual import residual_ends as residual_ends
+from probtrack.filters.resampling.stop_gradient import StopGradient as StopGradient
 from probtrack.filters.resampling.stratified import stratified as stratified
 from probtrack.filters.resampling.stratified import stratified_ends as stratified_ends
 from probtrack.filters.resampling.systematic import systematic as systematic
