@@ -708,3 +708,13 @@ class Spoken(NamedTuple):
     """What a chain listens to."""
 
     speech: torch.Tensor
+
+
+def test_models_of_one_layout_exchange_states_as_they_are():
+    quick, slow = (CoordinateUncoupled(DrivenAcceleration(TimeCorrelated(rate, 1.2))) for rate in (2.5, 0.3))
+    model = SwitchingDynamics([quick, slow], MarkovChain([0.5, 0.5], [[0.0, 1.0], [1.0, 0.0]], dt=0.1))
+    state, noise = torch.cat([torch.randn(7, 6), torch.zeros(7, 1)], -1), torch.randn(7, 7)
+    moved = model.transition(0.1)(state, noise)
+    torch.testing.assert_close(moved[:, :6], slow.transition(0.1)(state[:, :6], noise[:, :6]))
+    law, alone = model(state, 0.1), slow(state[:, :6], 0.1)
+    torch.testing.assert_close(law.log_prob(moved), alone.log_prob(moved[:, :6]))

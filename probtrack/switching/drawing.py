@@ -21,11 +21,17 @@ def drawn_from(table: Tensor, explore: float) -> Draw:
     """
     law = _explored(table.detach(), explore)
     bounds = _thresholds(law)
+    if (bounds == bounds[..., :1, :]).all():  # one law whatever was before: S1 eq. 32
+        bounds = bounds[..., :1, :]
     weighted = explore > 0 or (torch.is_grad_enabled() and table.requires_grad)
 
     def draw(before: Tensor, normal: Tensor) -> tuple[Tensor, Tensor | None]:
+        shared, batch = table.shape[:-2], before.shape[:-1]
+        if any(n not in (1, m) for n, m in zip(reversed(shared), reversed(batch), strict=False)):
+            raise ShapeError(f"speech must have the belief's batch {tuple(batch)}, got {tuple(shared)}")
         # 1 where the number is above, and 0 elsewhere: comparisons to bool take five times as long
-        above = [(normal - _looked_up(bound, before)).sign().clamp_min(0) for bound in bounds.unbind(-1)]
+        bound_of = [bound if bound.shape[-1] == 1 else _looked_up(bound, before) for bound in bounds.unbind(-1)]
+        above = [(normal - bound).sign().clamp_min(0) for bound in bound_of]
         after = torch.zeros_like(before) if not above else sum(above[1:], above[0])
         if not weighted:
             return after, None
@@ -57,8 +63,6 @@ def _looked_up(table: Tensor, index: Tensor) -> Tensor:
     rows = index.int()
     if table.ndim > 1:
         batch, size = index.shape[:-1], table.shape[-1]
-        if any(n not in (1, m) for n, m in zip(reversed(table.shape[:-1]), reversed(batch), strict=False)):
-            raise ShapeError(f"speech must have the belief's batch {tuple(batch)}, got {tuple(table.shape[:-1])}")
         starts = torch.arange(0, batch.numel() * size, size, dtype=torch.int32, device=index.device)
         rows = rows + starts.view(*batch, 1)
         table = table.expand(*batch, size)

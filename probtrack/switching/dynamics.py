@@ -88,7 +88,8 @@ class SwitchingDynamics(Dynamics):
         flat, of = _flat(state[..., :-1]), self._layout(before).flatten()
         laws = []
         for s, model in enumerate(self._parts):
-            own = self._carried(flat, of, torch.full_like(of, s))[: model.state_dim]
+            laid_out = flat if self._alike else self._carried(flat, of, torch.full_like(of, s))
+            own = laid_out[: model.state_dim]
             laws.append(model(own.view(-1, *before.shape).movedim(0, -1), dt))
         return Switched(rows, laws)
 
@@ -161,7 +162,8 @@ class SwitchingDynamics(Dynamics):
 
     def _moved(self, flat: Tensor, noise: Tensor, before: Tensor, after: Tensor, steps: Sequence[Transition]) -> Tensor:
         """Return the next states (D, n) of `flat` (D - 1, n) by `noise` (K, n), modes (n,) before and after."""
-        states = self._own(self._carried(flat, self._layout(before), after), after)
+        laid_out = flat if self._alike else self._carried(flat, self._layout(before), after)
+        states = self._own(laid_out, after)
         moved = [
             step(own.mT, noise[: model.noise_dim].mT).mT
             for model, step, own in zip(self._parts, steps, states, strict=True)
@@ -189,8 +191,6 @@ class SwitchingDynamics(Dynamics):
 
     def _carried(self, flat: Tensor, of: Tensor, to: Tensor) -> Tensor:
         """Return states (D - 1, n) that are laid out as model `of` (n,) has it, laid out as model `to` has it."""
-        if self._alike:
-            return flat
         changed = (of - to).nonzero()[:, 0]
         if len(changed) == 0:
             return flat
@@ -216,19 +216,33 @@ def _selected(mode: Tensor, said: Sequence[Tensor], rows: int) -> Tensor:
 
     Below a shorter answer stand zeros.
     """
-    finite = all(math.isfinite(value.detach().sum()) for value in said)
-    selected = torch.cat([said[0], said[0].new_zeros(rows - len(said[0]), len(mode))])
-    for s, value in enumerate(said[1:], 1):
-        here = (1 - (mode - s).abs()).clamp_min(0)  # 1 for particles of mode s, else 0
-        if finite:
-            # exact at 0 and 1, and ten times as fast as a choice by a mask that changes from particle to particle;
-            # in place, since fresh memory for 1e5 particles costs more than the work on it
-            selected[: len(value)].lerp_(value, here)
-        else:  # 0 times NaN is NaN: what a model says of another's particles must not reach them
-            selected[: len(value)] = torch.where(here > 0, value, selected[: len(value)])
-        if len(value) < rows:
-            selected[len(value) :].mul_(1 - here)
+    masks = [_is(mode, s, len(said)) for s in range(1, len(said))]
+    selected, longest = _with_zeros(said[0], rows), max(map(len, said))
+    for value, here in zip(said[1:], masks, strict=True):
+        # exact at 0 and 1, and ten times as fast as a choice by a mask that changes from particle to particle;
+        # in place, since fresh memory for 1e5 particles costs more than the work on it
+        selected[: len(value)].lerp_(value, here)
+        if len(value) < longest:
+            selected[len(value) : longest].mul_(1 - here)
+    if math.isfinite(selected.detach().sum()):
+        return selected
+    # 0 times NaN is NaN: what a model says of another's particles must not reach them
+    selected = _with_zeros(said[0], rows)
+    for value, here in zip(said[1:], masks, strict=True):
+        selected = torch.where(here > 0, _with_zeros(value, rows), selected)
     return selected
+
+
+def _is(mode: Tensor, s: int, modes: int) -> Tensor:
+    """Return 1 for particles (n,) of mode `s` > 0, else 0, in floats: a comparison takes longer."""
+    if s == modes - 1:
+        return mode if s == 1 else (mode - (s - 1)).clamp_min(0)
+    return (1 - (mode - s).abs()).clamp_min(0)
+
+
+def _with_zeros(said: Tensor, rows: int) -> Tensor:
+    """Return a copy of `said` (J, n) with zeros below, (rows, n)."""
+    return torch.cat([said, said.new_zeros(rows - len(said), said.shape[1])])
 
 
 def _flat(vectors: Tensor) -> Tensor:
