@@ -133,3 +133,19 @@ def assert_gradients(model, quantity, *inputs):
         return functional_call(watched, replaced, leaves[len(names) :])
 
     assert torch.autograd.gradcheck(value, leaves)
+
+
+def assert_step_leaves_its_inputs_alone(step, state, noise):
+    """A step works on nothing in place, and is the same twice."""
+    kept = state.clone(), noise.clone()
+    torch.testing.assert_close(step(state, noise), step(*kept), rtol=0, atol=0)
+    assert torch.equal(state, kept[0])
+    assert torch.equal(noise, kept[1])
+
+
+def assert_each_talker_has_its_own_dt(model, state, noise, dt):
+    """Steps of `dt` (J,) of talkers (..., J, D) are those that each would take alone."""
+    moved = model.transition(dt)(state, noise)
+    assert model(state, dt).batch_shape == state.shape[:-1]
+    for i in range(len(dt)):
+        torch.testing.assert_close(moved[..., i, :], model.transition(float(dt[i]))(state[..., i, :], noise[..., i, :]))

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 import torch
 from oracles import lehmann_matrices
-from properties import assert_gradients, assert_survives_saving
+from properties import (
+    assert_each_talker_has_its_own_dt,
+    assert_gradients,
+    assert_step_leaves_its_inputs_alone,
+    assert_survives_saving,
+)
 
 from probtrack.dynamics import (
     Curvilinear,
@@ -271,12 +276,8 @@ def test_transition_draws_from_the_law(make, axes, batch):
 def test_each_talker_may_have_its_own_dt(make, axes):
     model, dt = make(axes=axes), torch.tensor([0.01, 0.1, 1.0])
     state, noise = inputs(model, 5, 3)
-    law, moved = model(state, dt), model.transition(dt)(state, noise)
-    assert law.batch_shape == (5, 3)
-    for i in range(3):
-        one = model.transition(float(dt[i]))(state[:, i], noise[:, i])
-        torch.testing.assert_close(moved[:, i], one)
-        torch.testing.assert_close(law.at_noise(noise)[:, i], one)
+    assert_each_talker_has_its_own_dt(model, state, noise, dt)
+    torch.testing.assert_close(model(state, dt).at_noise(noise), model.transition(dt)(state, noise))
 
 
 @every_model
@@ -310,11 +311,7 @@ def test_variables_come_first_in_memory(make, axes, batch):
 @pytest.mark.parametrize("axes", [2, 3])
 def test_transition_leaves_its_inputs_alone(make, axes):
     model = make(axes=axes)
-    state, noise = inputs(model, 7)
-    kept, step = (state.clone(), noise.clone()), model.transition(T)
-    torch.testing.assert_close(step(state, noise), step(*kept), rtol=0, atol=0)
-    assert torch.equal(state, kept[0])
-    assert torch.equal(noise, kept[1])
+    assert_step_leaves_its_inputs_alone(model.transition(T), *inputs(model, 7))
 
 
 @every_model

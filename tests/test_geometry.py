@@ -211,7 +211,8 @@ BAD_POSITIONS = {
 
 
 def test_takes_arrays_in_a_hall():
-    MicrophoneArray([[0.0, 0.0], [9.5, 0.0], [40.0, 0.0]])
+    hall = MicrophoneArray([[0.0, 0.0], [9.5, 0.0], [40.0, 0.0]])
+    torch.testing.assert_close(hall.positions, torch.tensor([[0.0, 0.0], [9.5, 0.0], [40.0, 0.0]]), check_dtype=False)
 
 
 @pytest.mark.parametrize(("positions", "match"), BAD_POSITIONS.values(), ids=BAD_POSITIONS)

@@ -6,7 +6,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from properties import assert_gradients, assert_normalised, assert_survives_saving, box
+from properties import (
+    assert_each_talker_has_its_own_dt,
+    assert_gradients,
+    assert_normalised,
+    assert_step_leaves_its_inputs_alone,
+    assert_survives_saving,
+    box,
+)
 
 from probtrack.dynamics import (
     CoordinateUncoupled,
@@ -107,11 +114,7 @@ def test_law_and_transition_share_their_shapes(motion, head, batch):
 def test_each_talker_may_have_its_own_dt(motion, head):
     model, dt = WithHeading(motion(), head()), torch.tensor([0.01, 0.1, 1.0])
     state, noise = inputs(model, 5, 3)
-    law, moved = model(state, dt), model.transition(dt)(state, noise)
-    assert law.batch_shape == (5, 3)
-    for i in range(3):
-        one = model.transition(float(dt[i]))(state[:, i], noise[:, i])
-        torch.testing.assert_close(moved[:, i], one)
+    assert_each_talker_has_its_own_dt(model, state, noise, dt)
 
 
 @every_motion
@@ -282,11 +285,7 @@ def test_variables_come_first_in_memory(motion, head, batch):
 @every_motion
 def test_transition_leaves_its_inputs_alone(motion):
     model = WithHeading(motion())
-    state, noise = inputs(model, 7)
-    kept, step = (state.clone(), noise.clone()), model.transition(0.1)
-    torch.testing.assert_close(step(state, noise), step(*kept), rtol=0, atol=0)
-    assert torch.equal(state, kept[0])
-    assert torch.equal(noise, kept[1])
+    assert_step_leaves_its_inputs_alone(model.transition(0.1), *inputs(model, 7))
 
 
 @every_head

@@ -66,16 +66,9 @@ class WithHeading(Dynamics):
         return Concatenated([self.motion(motion, dt), WrappedGaussian(turned, angle=0)])
 
     def transition(self, dt: float | Tensor) -> Transition:
-        step = self._turned(dt)
         move = self.motion.transition(dt)
-        size, noises = self.motion.state_dim, self.motion.noise_dim
-
-        def turned(state: Tensor, noise: Tensor) -> Tensor:
-            check_event(state, (self.state_dim,), "state")
-            check_event(noise, (self.noise_dim,), "noise")
-            return step(move(state[..., :size], noise[..., :noises]), state, noise)
-
-        return turned
+        joined = self._joined(lambda state, noise: (move(state, noise), None), self._turned(dt))
+        return lambda state, noise: joined(state, noise)[0]
 
     def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
         step = self._turned(dt)
