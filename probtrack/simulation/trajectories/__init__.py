@@ -1,0 +1,1 @@
+"""How talkers walk, stop and turn."""
