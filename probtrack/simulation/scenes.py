@@ -14,7 +14,8 @@ from torch import Tensor
 from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray, azimuth, shipped_arrays
 from probtrack.simulation.paths import smooth_path
-from probtrack.simulation.rooms import ShoeboxRoom, add_noise
+from probtrack.simulation.motion import Motion
+from probtrack.simulation.rooms import ShoeboxRoom
 from probtrack.simulation.voices import load_speech, synthesise_speech
 
 FRAME, HOP = 512, 256
@@ -135,9 +136,9 @@ class Scene:
         else:
             speech = load_speech(self.speech, self.fs, self.duration)
         array = self.load_array()
-        positions, _, heading = smooth_path(self.path, self.duration, self.fs)
-        room = ShoeboxRoom(self.room, self.t60, self.fs)
-        audio = room.render_moving(speech.samples, positions, array.positions, spacing=self.spacing)
+        positions, velocities, heading = smooth_path(self.path, self.duration, self.fs)
+        room = ShoeboxRoom(self.room, self.t60)
+        audio = room.render(speech.samples, Motion(positions, velocities, heading, heading), array, self.fs)
         audio = add_noise(audio, self.snr_db, speech.active, generator=generator)
         centre = torch.arange(FRAME // 2, audio.shape[-1] - FRAME // 2 + 1, HOP)
         place = positions[centre]
@@ -174,3 +175,21 @@ def demo_scene(seed: int = 0, speech: str | None = None) -> Scene:
     """
     way = ((0.85, 0.95), (1.55, 1.25), (2.1, 1.7), (2.45, 2.3))
     return Scene(path=tuple((x, y, 1.51) for x, y in way), duration=8.0, seed=seed, speech=speech)
+
+
+def add_noise(audio: Tensor, snr_db: float, speech: Tensor | None = None, *, generator: torch.Generator) -> Tensor:
+    """Return `audio` (M, S) with white Gaussian noise, of the same power at each microphone.
+
+    Args:
+        audio: What the microphones hear of the talker, reverberation included.
+        snr_db: Ratio of the mean power of `audio`, over all microphones and over the samples where
+            `speech` holds, to that of the noise [dB]. Pauses do not count.
+        speech: (S,) bool; all samples by default.
+        generator: Draws the noise.
+    """
+    voiced = audio if speech is None else audio[:, speech]
+    if voiced.numel() == 0:
+        raise InputError("speech must hold somewhere, or the signal-to-noise ratio has no meaning")
+    scale = voiced.double().square().mean().sqrt() * 10 ** (-snr_db / 20)
+    noise = torch.randn(audio.shape, generator=generator, dtype=torch.float64)
+    return (audio + scale * noise).to(audio.dtype)

@@ -1,7 +1,10 @@
-"""What microphones hear of talkers in rooms, simulated or measured."""
+"""What microphones hear of sources in rooms, simulated or measured."""
 
 from probtrack.simulation.rooms.base import Room as Room
-from probtrack.simulation.rooms.shoebox import LEAD as LEAD
+from probtrack.simulation.rooms.cache import ResponseCache as ResponseCache
+from probtrack.simulation.rooms.cache import default_cache as default_cache
+from probtrack.simulation.rooms.directivity import SPEECH as SPEECH
+from probtrack.simulation.rooms.directivity import Directivity as Directivity
+from probtrack.simulation.rooms.images import LEAD as LEAD
+from probtrack.simulation.rooms.reverberation import reverberation_time as reverberation_time
 from probtrack.simulation.rooms.shoebox import ShoeboxRoom as ShoeboxRoom
-from probtrack.simulation.rooms.shoebox import add_noise as add_noise
-from probtrack.simulation.rooms.shoebox import reverberation_time as reverberation_time

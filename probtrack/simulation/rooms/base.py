@@ -6,10 +6,12 @@ from torch import Tensor
 
 from probtrack.geometry import MicrophoneArray, Region
 from probtrack.simulation.motion import Motion
+from probtrack.simulation.rooms.cache import ResponseCache
+from probtrack.simulation.rooms.directivity import Directivity
 
 
 class Room(ABC):
-    """Where talkers are heard: a simulated room, or measured impulse responses.
+    """Where sources are heard: a simulated room, or measured impulse responses.
 
     A subclass is a frozen dataclass of plain values, so that a scene file can say it.
     """
@@ -17,10 +19,19 @@ class Room(ABC):
     @property
     @abstractmethod
     def region(self) -> Region:
-        """Where a mouth can be, three axes [m]."""
+        """Where a source can be, three axes [m]."""
 
     @abstractmethod
-    def render(self, signal: Tensor, motion: Motion, array: MicrophoneArray, fs: int) -> Tensor:
+    def render(
+        self,
+        signal: Tensor,
+        motion: Motion,
+        array: MicrophoneArray,
+        fs: int,
+        *,
+        directivity: Directivity | None = None,
+        cache: ResponseCache | None = None,
+    ) -> Tensor:
         """Return (M, S), what the microphones hear of `signal` (S,) while its source makes `motion`.
 
         Args:
@@ -28,6 +39,8 @@ class Room(ABC):
             motion: T = S, no batch.
             array: Microphones at their true places.
             fs: Sampling rate [Hz].
+            directivity: Of the source; None for the same in all directions.
+            cache: Where responses that take long to compute are kept; None to keep none.
 
         Raises:
             InputError: for a source or microphone that cannot be there.
