@@ -65,13 +65,17 @@ def resonances(centres: Tensor, bandwidths: Tensor, frequency: Tensor, fs: int) 
     return (1 - b - c).prod(-1, keepdim=True) / denominator
 
 
-def vocal_tract(formants: Tensor, bandwidths: Tensor, fs: int) -> Tensor:
+def vocal_tract(formants: Tensor, bandwidths: Tensor, fs: int, scale: float = 1.0) -> Tensor:
     """Return responses (K, B) of the throat and mouth for F1 to F3; higher formants are those of a tube.
 
-    Shape:
-        formants, bandwidths (K, 3) [Hz]. B is that of `filter_frames`.
+    Args:
+        formants: F1 to F3, (K, 3) [Hz].
+        bandwidths: Of F1 to F3, (K, 3) [Hz].
+        fs: Sampling rate [Hz]. B is that of `filter_frames`.
+        scale: Higher formants over those of a man [-].
     """
-    upper = torch.tensor([f for f in _UPPER_FORMANTS if f[0] < 0.45 * fs], dtype=formants.dtype)
+    tube = [(scale * centre, width) for centre, width in _UPPER_FORMANTS if scale * centre < 0.45 * fs]
+    upper = torch.tensor(tube, dtype=formants.dtype).reshape(-1, 2)
     upper = upper.expand(len(formants), -1, 2)
     centres = torch.cat([formants, upper[..., 0]], -1)
     widths = torch.cat([bandwidths, upper[..., 1]], -1)
@@ -79,7 +83,11 @@ def vocal_tract(formants: Tensor, bandwidths: Tensor, fs: int) -> Tensor:
 
 
 def friction(centre: Tensor, bandwidth: Tensor, fs: int) -> Tensor:
-    """Return responses (K, B) of the mouth to noise made at a narrow place, one resonance each (K,) [Hz]."""
+    """Return responses (K, B) of the mouth to noise made at a narrow place, one resonance each (K,) [Hz].
+
+    A resonance that `fs` cannot hold moves down to 0.4 `fs`.
+    """
+    centre = centre.clamp(max=0.4 * fs)
     response = resonances(centre[:, None], bandwidth[:, None], _bins(fs).to(centre), fs)
     return response / response.abs().square().mean(-1, keepdim=True).sqrt()
 
