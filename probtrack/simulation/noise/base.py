@@ -8,6 +8,7 @@ from torch import Tensor
 from probtrack.errors import InputError, NotFiniteError
 from probtrack.geometry import MicrophoneArray
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 
 
 class Noise(ABC):
@@ -19,7 +20,15 @@ class Noise(ABC):
     level_db: float
 
     @abstractmethod
-    def draw(self, room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator) -> Tensor:
+    def draw(
+        self,
+        room: Room,
+        array: MicrophoneArray,
+        size: int,
+        fs: int,
+        generator: torch.Generator,
+        cache: ResponseCache | None = None,
+    ) -> Tensor:
         """Return (M, size), noise whose power is 1 in the mean over the microphones and samples.
 
         Args:
@@ -28,6 +37,7 @@ class Noise(ABC):
             size: Number of samples.
             fs: Sampling rate [Hz].
             generator: Draws the noise; the same seed gives the same.
+            cache: Where the room keeps responses that take long to compute; None to keep none.
 
         Raises:
             InputError: for a file that cannot be used, or a source that cannot be there.

@@ -12,6 +12,7 @@ from probtrack.simulation.noise.base import Noise, unit_power
 from probtrack.simulation.noise.files import independent_stretches, load_noise
 from probtrack.simulation.noise.spectra import spectral_gain
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 from probtrack.simulation.rooms.switching import fast_size
 
 _STEPS = 32  # of the frequency to one turn of the largest distance: the coherence is then within 0.005
@@ -54,7 +55,15 @@ class DiffuseNoise(Noise):
         as_positive(self.speed_of_sound, "speed_of_sound")
         spectral_gain(self.spectrum, torch.zeros(1))
 
-    def draw(self, room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator) -> Tensor:  # noqa: ARG002
+    def draw(
+        self,
+        room: Room,  # noqa: ARG002
+        array: MicrophoneArray,
+        size: int,
+        fs: int,
+        generator: torch.Generator,
+        cache: ResponseCache | None = None,  # noqa: ARG002
+    ) -> Tensor:
         # what the filters smear beyond the end comes in again at the start, and is cut off
         longer = fast_size(size + math.ceil(4 * array.diameter / self.speed_of_sound * fs))
         spectra = torch.fft.rfft(self._sources(array.num_microphones, longer, fs, generator))
@@ -68,8 +77,9 @@ class DiffuseNoise(Noise):
         x = array.positions.to(frequency)
         cycles = torch.linalg.vector_norm(x[:, None] - x, dim=-1) / self.speed_of_sound * frequency[:, None, None]
         if self.cylindrical:
-            return torch.special.bessel_j0(2 * torch.pi * cycles)
-        return torch.sinc(2 * cycles)  # torch's holds the factor pi
+            return torch.special.bessel_j0(2 * torch.pi * cycles)  # type: ignore[no-any-return]
+        coherence: Tensor = torch.sinc(2 * cycles)  # torch's holds the factor pi
+        return coherence
 
     def _sources(self, count: int, size: int, fs: int, generator: torch.Generator) -> Tensor:
         """Return (count, size), independent and of one power."""
@@ -97,4 +107,5 @@ class DiffuseNoise(Noise):
 def _square_root(matrices: Tensor) -> Tensor:
     """Return the symmetric square roots (F, M, M), which change as smoothly as the matrices do."""
     values, vectors = torch.linalg.eigh(matrices)
-    return (vectors * values.clamp(min=0).sqrt()[:, None]) @ vectors.mT  # rounding may push a 0 below 0
+    root: Tensor = (vectors * values.clamp(min=0).sqrt()[:, None]) @ vectors.mT  # rounding may push a 0 below 0
+    return root

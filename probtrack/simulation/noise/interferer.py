@@ -6,14 +6,15 @@ import torch
 from torch import Tensor
 
 from probtrack.errors import InputError
-from probtrack.geometry import MicrophoneArray, azimuth
+from probtrack.geometry import MicrophoneArray
 from probtrack.simulation.motion import Motion
 from probtrack.simulation.noise.base import Noise, unit_power
 from probtrack.simulation.noise.files import load_noise, stretch
 from probtrack.simulation.noise.spectra import coloured, spectral_gain
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 
-_BUILD_UP = 1.0  # s; the sound is on for as long before the recording starts, so that the room is filled with it
+_BUILD_UP = 1.0  # s
 _BLADES = 130.0  # Hz, at which the blades of the fan pass
 _HARMONICS = 4
 _HUM = 0.25  # power of the harmonics together, relative to that of the hiss
@@ -21,9 +22,9 @@ _HUM = 0.25  # power of the harmonics together, relative to that of the hiss
 
 @dataclass(frozen=True)
 class Interferer(Noise):
-    """A source that stands in the room, such as a fan, a loudspeaker or another voice, and faces the array.
+    """A source that stands in the room, such as a fan, a loudspeaker or another voice, and sounds to all sides alike.
 
-    It is heard through the room as a talker is, with the directivity that the room gives to a mouth.
+    It is heard through the room as a talker is, from a second before the recording starts: the room is full of it.
 
     Args:
         position: Where it stands [m].
@@ -43,10 +44,18 @@ class Interferer(Noise):
             raise InputError(f"interferer: position must be three finite coordinates [m], got {self.position}")
         spectral_gain(self.spectrum, torch.zeros(1))
 
-    def draw(self, room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator) -> Tensor:
+    def draw(
+        self,
+        room: Room,
+        array: MicrophoneArray,
+        size: int,
+        fs: int,
+        generator: torch.Generator,
+        cache: ResponseCache | None = None,
+    ) -> Tensor:
         early = round(_BUILD_UP * fs)
         signal = self._signal(early + size, fs, generator).to(torch.get_default_dtype())
-        heard = room.render(signal, _standing(self.position, array, len(signal)), array, fs)
+        heard = room.render(signal, _standing(self.position, len(signal)), array, fs, cache=cache)
         return unit_power(heard[:, early:], f"interferer at {self.position} m")
 
     def _signal(self, size: int, fs: int, generator: torch.Generator) -> Tensor:
@@ -61,10 +70,9 @@ class Interferer(Noise):
         return unit_power(signal, "interferer")
 
 
-def _standing(position: tuple[float, float, float], array: MicrophoneArray, size: int) -> Motion:
-    place = torch.tensor(position, dtype=array.positions.dtype)
-    facing = azimuth(array.centre[:2], place[:2]).expand(size)
-    return Motion(place.expand(size, 3), torch.zeros_like(place).expand(size, 3), facing, facing)
+def _standing(position: tuple[float, float, float], size: int) -> Motion:
+    place, nothing = torch.tensor(position), torch.zeros(size)
+    return Motion(place.expand(size, 3), nothing[:, None].expand(size, 3), nothing, nothing)
 
 
 def _hum(size: int, fs: int, generator: torch.Generator) -> Tensor:
@@ -74,4 +82,5 @@ def _hum(size: int, fs: int, generator: torch.Generator) -> Tensor:
     drift = torch.cos(2 * torch.pi * ((0.2 + 0.3 * rate) * time + phases.pop()))
     turns = torch.cumsum(_BLADES * (1 + 0.01 * drift), 0) / fs
     waves = [2**-k * torch.sin(2 * torch.pi * ((k + 1) * turns + p)) for k, p in enumerate(phases)]
-    return unit_power(torch.stack(waves).sum(0), "hum") * _HUM**0.5
+    hum: Tensor = unit_power(torch.stack(waves).sum(0), "hum") * _HUM**0.5
+    return hum

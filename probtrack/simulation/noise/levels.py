@@ -10,28 +10,33 @@ from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.geometry import MicrophoneArray
 from probtrack.simulation.noise.base import Noise, unit_power
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 
 
 def mixed(
-    noises: Sequence[Noise], room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator
+    noises: Sequence[Noise],
+    room: Room,
+    array: MicrophoneArray,
+    size: int,
+    fs: int,
+    generator: torch.Generator,
+    cache: ResponseCache | None = None,
 ) -> Tensor:
-    """Return (M, size), the sum of `noises`, each at its `level_db` over a mean power of 1.
+    """Return (M, size), the sum of `noises`, each at its `level_db` over a mean power of 1; without noises, zeros.
 
     Each noise has random numbers of its own: one that is added at the end leaves those before it as they are.
     """
-    if not noises:
-        raise InputError("noises must name at least one noise, got none")
     total = torch.zeros(array.num_microphones, size)
     for noise in noises:
         if not math.isfinite(noise.level_db):
             raise InputError(f"level_db must be finite, got {noise.level_db}")
         own = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
-        total += noise.draw(room, array, size, fs, own) * 10 ** (noise.level_db / 20)
+        total += noise.draw(room, array, size, fs, own, cache) * 10 ** (noise.level_db / 20)
     return total
 
 
 def at_snr(clean: Tensor, noise: Tensor, snr_db: float, active: Tensor) -> Tensor:
-    r"""Return `clean` plus `noise` (M, S), scaled so that their ratio is `snr_db`.
+    r"""Return `noise` (M, S), scaled so that the ratio of `clean` to it is `snr_db`: add it to `clean`.
 
     .. math:: \mathrm{SNR} = 10 \log_{10} \frac{\mathrm{mean}_{m,\, s \in active}\ clean^2}
         {\mathrm{mean}_{m,\, s}\ noise^2}
@@ -62,7 +67,7 @@ def at_snr(clean: Tensor, noise: Tensor, snr_db: float, active: Tensor) -> Tenso
     if not power > 0:
         raise InputError("clean must hold speech where active, or the signal-to-noise ratio has no meaning")
     scale = power.sqrt() * 10 ** (-snr_db / 20)
-    return clean + (unit_power(noise.double(), "noise") * scale).to(clean)
+    return (unit_power(noise.double(), "noise") * scale).to(clean)
 
 
 def add_noise(audio: Tensor, snr_db: float, speech: Tensor | None = None, *, generator: torch.Generator) -> Tensor:
@@ -75,4 +80,6 @@ def add_noise(audio: Tensor, snr_db: float, speech: Tensor | None = None, *, gen
         generator: Draws the noise.
     """
     noise = torch.randn(audio.shape, generator=generator, dtype=torch.float64)
-    return at_snr(audio, noise, snr_db, torch.ones_like(audio[0], dtype=torch.bool) if speech is None else speech)
+    return audio + at_snr(
+        audio, noise, snr_db, torch.ones_like(audio[0], dtype=torch.bool) if speech is None else speech
+    )

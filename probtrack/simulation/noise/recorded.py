@@ -10,6 +10,7 @@ from probtrack.geometry import MicrophoneArray
 from probtrack.simulation.noise.base import Noise, unit_power
 from probtrack.simulation.noise.files import load_noise, stretch
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,15 @@ class RecordedNoise(Noise):
     file: str
     level_db: float = 0.0
 
-    def draw(self, room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator) -> Tensor:  # noqa: ARG002
+    def draw(
+        self,
+        room: Room,  # noqa: ARG002
+        array: MicrophoneArray,
+        size: int,
+        fs: int,
+        generator: torch.Generator,
+        cache: ResponseCache | None = None,  # noqa: ARG002
+    ) -> Tensor:
         recording = load_noise(self.file, fs)
         if len(recording) == 1:
             raise InputError(

@@ -32,7 +32,8 @@ def coloured(noise: Tensor, spectrum: str, fs: float) -> Tensor:
     """Return white `noise` (..., S) in a colour of `spectral_gain`, by filtering around the circle of S samples."""
     size = noise.shape[-1]
     gain = spectral_gain(spectrum, torch.fft.rfftfreq(size, 1 / fs, dtype=noise.dtype))
-    return torch.fft.irfft(torch.fft.rfft(noise) * gain, size)
+    filtered: Tensor = torch.fft.irfft(torch.fft.rfft(noise) * gain, size)
+    return filtered
 
 
 def _white(frequency: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from torch import Tensor
 from probtrack.geometry import MicrophoneArray
 from probtrack.simulation.noise.base import Noise, unit_power
 from probtrack.simulation.rooms.base import Room
+from probtrack.simulation.rooms.cache import ResponseCache
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,14 @@ class WhiteNoise(Noise):
 
     level_db: float = 0.0
 
-    def draw(self, room: Room, array: MicrophoneArray, size: int, fs: int, generator: torch.Generator) -> Tensor:  # noqa: ARG002
+    def draw(
+        self,
+        room: Room,  # noqa: ARG002
+        array: MicrophoneArray,
+        size: int,
+        fs: int,  # noqa: ARG002
+        generator: torch.Generator,
+        cache: ResponseCache | None = None,  # noqa: ARG002
+    ) -> Tensor:
         noise = torch.randn(array.num_microphones, size, generator=generator, dtype=torch.float64)
         return unit_power(noise, "white noise").to(torch.get_default_dtype())
