@@ -53,6 +53,8 @@ class Interferer(Noise):
         generator: torch.Generator,
         cache: ResponseCache | None = None,
     ) -> Tensor:
+        if not room.region.contains(torch.tensor(self.position)):
+            raise InputError(f"interferer at {self.position} m is outside the room, {room.region}")
         early = round(_BUILD_UP * fs)
         signal = self._signal(early + size, fs, generator).to(torch.get_default_dtype())
         heard = room.render(signal, _standing(self.position, len(signal)), array, fs, cache=cache)
