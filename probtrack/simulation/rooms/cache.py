@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import time
+import uuid
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def default_cache() -> Path:
     """Return where responses are kept unless said otherwise: $PROBTRACK_CACHE, or the user's cache folder."""
     named = os.environ.get("PROBTRACK_CACHE")
     if named:
-        return Path(named)
+        return Path(named).expanduser()
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "probtrack" / "responses"
 
 
@@ -52,8 +53,9 @@ class ResponseCache:
             if not mark.exists():
                 _write(mark, f"{FORMAT}\n".encode())
             written = mark.read_text(encoding="utf-8", errors="replace").strip()
+            _sweep(self.folder)
         except OSError as error:
-            raise InputError(f"{self.folder}: cannot use the cache of responses: {error.strerror}") from None
+            raise InputError(f"{self.folder}: cannot use the cache of responses: {error.strerror or error}") from None
         if written != str(FORMAT):
             raise InputError(
                 f"{self.folder}: the cache of responses has format {written[:20]!r}, this version of probtrack "
@@ -70,7 +72,7 @@ class ResponseCache:
                 _write(folder / "key.yaml", yaml.safe_dump(key, sort_keys=False).encode())
             _sweep(folder)
         except OSError as error:
-            raise InputError(f"{folder}: cannot write the cache of responses: {error.strerror}") from None
+            raise InputError(f"{folder}: cannot write the cache of responses: {error.strerror or error}") from None
         return ResponseStore(folder)
 
 
@@ -96,14 +98,14 @@ class ResponseStore:
         """
         packed = _packed(responses)
         path = self._path(node)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        unfinished = _unfinished(path)
         try:
             with unfinished.open("wb") as file:
                 np.save(file, packed)
             unfinished.replace(path)
         except OSError as error:
             unfinished.unlink(missing_ok=True)
-            raise InputError(f"{path}: cannot write the cache of responses: {error.strerror}") from None
+            raise InputError(f"{path}: cannot write the cache of responses: {error.strerror or error}") from None
         return _unpacked(packed)
 
     def _path(self, node: Node) -> Path:
@@ -116,21 +118,27 @@ def rounded(responses: Tensor) -> Tensor:
 
 
 def _packed(responses: Tensor) -> "np.ndarray[Any, np.dtype[np.float16]]":
-    if not responses.isfinite().all():
-        raise AssertionError("a response is not finite")
-    return (responses * _SCALE).to(torch.float16).numpy()
+    packed = (responses * _SCALE).to(torch.float16)
+    if not packed.isfinite().all():
+        raise AssertionError("a response is not finite, or too loud for its file")
+    return packed.numpy()
 
 
 def _unpacked(packed: "np.ndarray[Any, np.dtype[np.float16]]") -> Tensor:
-    if packed.dtype != np.float16 or packed.ndim != 3:
+    if packed.dtype != np.float16 or packed.ndim != 3 or not np.isfinite(packed).all():
         raise ValueError("not a file of responses")
     return torch.from_numpy(packed).float() / _SCALE
 
 
 def _write(path: Path, content: bytes) -> None:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    unfinished = _unfinished(path)
     unfinished.write_bytes(content)
     unfinished.replace(path)
+
+
+def _unfinished(path: Path) -> Path:
+    """Return where a file is written before it comes to its place: for one thread of one process only."""
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
 
 
 def _sweep(folder: Path) -> None:

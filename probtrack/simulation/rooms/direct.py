@@ -8,9 +8,15 @@ from torch import Tensor
 from probtrack.simulation.motion import Motion
 from probtrack.simulation.rooms.directivity import Directivity
 
+LEAD = 40
+"""Samples of an impulse response before time 0, where the interpolation of an early sound rings."""
+
+NEAREST = 0.05
+"""Distance below which sound grows no louder and arrives no earlier [m]."""
+
 _UP = 8  # steps to a sample, between which is interpolated cubically
 _MARGIN = 64  # samples of silence at both ends
-_NEAREST = 0.05  # m; amplitudes grow no more when a mouth comes nearer to a microphone
+_TAPER = 0.45  # of the sampling rate, from where a response falls to 0 at half of it
 
 
 def direct_sound(
@@ -32,7 +38,7 @@ def direct_sound(
     heard = []
     for microphone in microphones.to(motion.position):
         offset = microphone - motion.position
-        distance = offset.square().sum(-1).sqrt().clamp(min=_NEAREST)
+        distance = offset.square().sum(-1).sqrt().clamp(min=NEAREST)
         emitted = shaped[0]
         if directivity is not None:
             cosine = ((offset[:, :2] / distance[:, None]).to(signal) * ahead).sum(-1)
@@ -40,6 +46,38 @@ def direct_sound(
         at = _emission(distance.double() * fs / speed_of_sound)
         heard.append(_sampled_at(emitted / distance.to(signal), at))
     return torch.stack(heard)
+
+
+def direct_responses(
+    points: Tensor,
+    microphones: Tensor,
+    directivity: Directivity | None,
+    mouth: Tensor,
+    *,
+    length: int,
+    fs: int,
+    speed_of_sound: float,
+) -> Tensor:
+    """Return (K, M, length), the response from each of `points` (K, 3) to `microphones` (M, 3) without reflections.
+
+    A delay of any fraction of a sample, flat up to 0.45 of the sampling rate; `LEAD` samples lie before time 0.
+    `mouth` (K,) [rad] is where each source points, heeded with a directivity only.
+    """
+    size = 1 << math.ceil(math.log2(length + round(0.05 * fs)))  # room for what the filters ring
+    frequency = torch.fft.rfftfreq(size, 1 / fs, dtype=torch.float64)
+    offset = microphones.double() - points.double()[:, None]
+    distance = offset.square().sum(-1).sqrt().clamp(min=NEAREST)
+    delay = distance / speed_of_sound + LEAD / fs
+    over = ((frequency / fs - _TAPER) / (0.5 - _TAPER)).clamp(min=0)
+    gain = (1 + torch.cos(math.pi * over)) / 2 / distance[..., None]
+    if directivity is not None:
+        ahead = torch.stack([mouth.double().cos(), mouth.double().sin()], -1)[:, None]
+        cosine = ((offset[..., :2] * ahead).sum(-1) / distance)[..., None]
+        d0, d1, d2 = directivity.polynomial(frequency).T
+        gain = gain * (d0 + cosine * (d1 + cosine * d2))
+    spectrum = torch.polar(gain, -2 * math.pi * delay[..., None] * frequency)
+    responses: Tensor = torch.fft.irfft(spectrum, size)[..., :length].to(torch.get_default_dtype())
+    return responses
 
 
 def _shaped(signal: Tensor, directivity: Directivity | None, fs: int) -> Tensor:
@@ -53,7 +91,8 @@ def _shaped(signal: Tensor, directivity: Directivity | None, fs: int) -> Tensor:
     left = place.long().clamp(max=1023)
     polynomial = directivity.polynomial(coarse)
     gain = torch.lerp(polynomial[left], polynomial[left + 1], (place - left)[:, None]).T.to(signal)
-    return torch.fft.irfft(torch.fft.rfft(signal, size) * gain, size)[:, : len(signal)]
+    shaped: Tensor = torch.fft.irfft(torch.fft.rfft(signal, size) * gain, size)[:, : len(signal)]
+    return shaped
 
 
 def _emission(delay: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """How loud a source is to its side and back: the directivity of a talker."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -36,6 +37,8 @@ class Directivity:
     def __post_init__(self) -> None:
         if not len(self.bands) == len(self.depth_db) == len(self.exponent) >= 1:
             raise InputError("directivity: bands, depth_db and exponent must have one value a band")
+        if not all(math.isfinite(value) for value in self.bands + self.depth_db + self.exponent):
+            raise InputError("directivity: bands, depth_db and exponent must be finite")
         if min(self.bands) <= 0 or list(self.bands) != sorted(set(self.bands)):
             raise InputError(f"directivity: bands must be positive and increase [Hz], got {self.bands}")
         if min(self.depth_db) < 0 or min(self.exponent) <= 0:

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from probtrack.simulation.rooms.direct import LEAD, NEAREST
 from probtrack.simulation.rooms.directivity import Directivity
 
-LEAD = 40
-"""Samples of an impulse response before time 0, where the interpolation of an early sound rings."""
+METHOD = 1
+"""Of computing responses: another number makes the cache compute all anew. To change with every change of numbers."""
 
 _AUDIBLE = 20.0  # Hz
 _FINE = 8  # steps to a sample, between which arrivals are split
@@ -47,7 +48,7 @@ def image_sources(
     room.add_microphone([0.5 * s for s in size])  # a room without one computes nothing
     room.image_source_model()
     positions, amplitudes = [], []
-    extent = torch.tensor(size)
+    extent = torch.tensor(size, dtype=torch.float32)
     for source in room.sources:
         position = torch.from_numpy(source.images.T).float()
         gap = torch.maximum(position - extent, -position).clamp(min=0).square().sum(-1).sqrt()  # to the room
@@ -83,20 +84,20 @@ class DirectionalResponses:
         self.images, self.length, self.scale = images, length, fs / speed_of_sound
         self.size = 1 << math.ceil(math.log2(length + round(0.05 * fs)))  # room for what the filters ring
         frequency = torch.fft.rfftfreq(self.size, 1 / fs, dtype=torch.float64)
-        spread = torch.sinc(torch.arange(self.size // 2 + 1) / (self.size * _FINE)).square()  # of the split
+        spread = torch.sinc(frequency / (fs * _FINE)).square()  # of the split
         band = _high_pass(frequency, fs) / spread
         self.directional = directivity is not None
         polynomial = band.new_ones(len(band), 1) if directivity is None else directivity.polynomial(frequency)
         self.filters = (polynomial.T * band).to(torch.complex64)  # (1 or 3, F)
-        fade = torch.ones(length)
-        end = round(_FADE * fs)
+        fade = torch.ones(length, dtype=torch.float32)
+        end = min(round(_FADE * fs), length)
         fade[-end:] = (1 + torch.cos(math.pi * (torch.arange(end) + 1) / end)) / 2
         self.fade = fade
 
     def at(self, point: Tensor) -> Tensor:
         """Return (C, M, length), C = 5, or 1 without a directivity, from `point` (3,) [m]."""
         offset = self.images.position - point.float()
-        distance = offset.square().sum(-1).sqrt().clamp(min=0.01)
+        distance = offset.square().sum(-1).sqrt().clamp(min=NEAREST)
         arrival = (distance * self.scale + LEAD) * _FINE
         first = arrival.floor()
         late = first >= (self.length - 1) * _FINE
@@ -106,7 +107,7 @@ class DirectionalResponses:
             x, y, _ = (offset / distance[..., None]).unbind(-1)
             channels = channels * torch.stack([torch.ones_like(x), x, y, x * x + y * y, x * x - y * y, 2 * x * y], -1)
         spectrum = self._spectrum(first.clamp(max=(self.length - 1) * _FINE), arrival - first, channels)
-        responses = torch.fft.irfft(self._filtered(spectrum), self.size)[..., : self.length] * self.fade
+        responses: Tensor = torch.fft.irfft(self._filtered(spectrum), self.size)[..., : self.length] * self.fade
         return responses
 
     def _spectrum(self, first: Tensor, share: Tensor, channels: Tensor) -> Tensor:
@@ -114,11 +115,12 @@ class DirectionalResponses:
         num_microphones, _, count = channels.shape
         fine = self.size * _FINE
         row = (first.long() + fine * torch.arange(num_microphones)[:, None]).flatten()
-        summed = torch.zeros(num_microphones * fine, count)
+        summed = channels.new_zeros(num_microphones * fine, count)
         summed.index_add_(0, row, (channels * (1 - share)[..., None]).flatten(0, 1))
         summed.index_add_(0, row + 1, (channels * share[..., None]).flatten(0, 1))
         lines = summed.reshape(num_microphones, fine, count).permute(2, 0, 1)
-        return torch.fft.rfft(lines.contiguous())[..., : self.size // 2 + 1]
+        spectrum: Tensor = torch.fft.rfft(lines.contiguous())[..., : self.size // 2 + 1]
+        return spectrum
 
     def _filtered(self, spectrum: Tensor) -> Tensor:
         if not self.directional:
@@ -129,7 +131,7 @@ class DirectionalResponses:
 
 
 def harmonics(mouth: Tensor) -> Tensor:
-    """Return (S, 5), what the five responses are multiplied by for a mouth that points to azimuth `mouth` (S,) [rad]."""
+    """Return (S, 5), the factors of the five responses for a mouth that points to azimuth `mouth` (S,) [rad]."""
     turns = [torch.ones_like(mouth), mouth.cos(), mouth.sin(), (2 * mouth).cos(), (2 * mouth).sin()]
     return torch.stack(turns, -1)
 

@@ -12,6 +12,7 @@ COMPLETE = 40.0
 """Decay over which all image sources are there [dB]."""
 
 _RANGE = (-5.0, -35.0)  # dB of the decay to which the reverberation time is fitted: T30 of ISO 3382-1
+_MOST_IMAGES = 2_000_000  # of a microphone: two gigabytes, and a second for each place of a small array
 _PROBES = ((0.31, 0.42, 0.57), (0.63, 0.27, 0.44), (0.22, 0.71, 0.61), (0.74, 0.66, 0.36))  # of the size
 
 
@@ -22,8 +23,16 @@ def reverberation_time(response: Tensor, fs: float) -> Tensor:
 
     References:
         M. R. Schroeder, "New method of measuring reverberation time", J. Acoust. Soc. Am. 37:409, 1965.
+
+    Raises:
+        InputError: for a response that is not finite, or does not decay.
     """
-    return _decay_time(response.double().square(), fs).to(response.dtype)
+    time = _decay_time(response.double().square(), fs).to(response.dtype)
+    if not time.isfinite().all():
+        raise InputError(
+            "response must be finite and decay by 35 dB over several samples, to have a reverberation time"
+        )
+    return time
 
 
 def reach(t60: float, speed_of_sound: float) -> float:
@@ -32,8 +41,21 @@ def reach(t60: float, speed_of_sound: float) -> float:
 
 
 def max_order(size: tuple[float, float, float], t60: float, speed_of_sound: float) -> int:
-    """Return the order of the image sources within which all are that sound reaches before it has decayed."""
-    return math.ceil(reach(t60, speed_of_sound) * math.hypot(*(1 / s for s in size)))
+    """Return the order of the image sources within which all are that sound reaches before it has decayed.
+
+    An image n rooms away along an axis is at least n - 1 lengths of that axis from any place, hence the 2 more.
+
+    Raises:
+        InputError: for so many that they would fill the memory.
+    """
+    order = math.ceil(reach(t60, speed_of_sound) * math.hypot(*(1 / s for s in size))) + 2
+    if 4 / 3 * order**3 > _MOST_IMAGES:  # as many are in the octahedron |l| + |m| + |n| <= order
+        longest = t60 * ((3 / 4 * _MOST_IMAGES) ** (1 / 3) - 3) / (order - 2)
+        raise InputError(
+            f"room: t60 of {t60:g} s in a room of {size} m needs {4 / 3 * order**3:.1g} image sources: "
+            f"the longest that can be computed there is about {longest:.2g} s"
+        )
+    return order
 
 
 @functools.lru_cache(maxsize=64)

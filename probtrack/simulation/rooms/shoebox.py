@@ -10,14 +10,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from probtrack.errors import InputError
+from probtrack._checks import check_int
+from probtrack.errors import InputError, NotFiniteError
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region
 from probtrack.simulation.motion import Motion
 from probtrack.simulation.rooms.base import Room
 from probtrack.simulation.rooms.cache import Node, ResponseCache, rounded
-from probtrack.simulation.rooms.direct import direct_sound
+from probtrack.simulation.rooms.direct import LEAD, direct_responses, direct_sound
 from probtrack.simulation.rooms.directivity import Directivity
-from probtrack.simulation.rooms.images import LEAD, DirectionalResponses, Images, harmonics, image_sources
+from probtrack.simulation.rooms.images import METHOD, DirectionalResponses, Images, harmonics, image_sources
 from probtrack.simulation.rooms.reverberation import COMPLETE, max_order, reach, wall_absorption
 from probtrack.simulation.rooms.switching import render_places
 
@@ -77,10 +78,8 @@ class ShoeboxRoom(Room):
         directivity: Directivity | None = None,
         cache: ResponseCache | None = None,
     ) -> Tensor:
-        if motion.position.shape != (len(signal), 3):
-            raise InputError(f"motion must have positions ({len(signal)}, 3), got {tuple(motion.position.shape)}")
-        self.check_inside(motion.position, "talker")
-        self.check_inside(array.positions, array.name + ": microphone")
+        self._check_sound(signal, motion)
+        self._check_places(motion.position, array, fs)
         audio = direct_sound(signal, motion, array.positions, directivity, fs, self.speed_of_sound)
         if self.t60 == 0:
             return audio
@@ -97,6 +96,57 @@ class ShoeboxRoom(Room):
             lead=LEAD,
         )
 
+    def impulse_responses(
+        self,
+        points: Tensor,
+        array: MicrophoneArray,
+        fs: int,
+        *,
+        directivity: Directivity | None = None,
+        mouth: Tensor | None = None,
+    ) -> Tensor:
+        """Return (K, M, L), the whole impulse response from each of `points` to each microphone.
+
+        For sources that stand at exactly these points, not at the nearest of the grid. The moment of emission is sample
+        `LEAD`. The direct sound falls to 0 from 0.45 to 0.5 of the sampling rate.
+
+        Args:
+            points: (K, 3) [m], inside the room.
+            array: Microphones at their true places.
+            fs: Sampling rate [Hz].
+            directivity: Of the sources; None for the same in all directions.
+            mouth: (K,), where each source points, counter-clockwise from +x [rad]: with a directivity, and only then.
+
+        Raises:
+            InputError: for a point or microphone outside the room, or a mouth that does not fit.
+        """
+        self._check_places(points, array, fs)
+        if points.ndim != 2:
+            raise InputError(f"points must have shape (K, 3), got {tuple(points.shape)}")
+        if (directivity is None) != (mouth is None):
+            raise InputError("mouth must be given for a source with a directivity, and only for one")
+        turns = torch.zeros(len(points)) if mouth is None else mouth
+        if turns.shape != points.shape[:1] or not turns.isfinite().all():
+            raise InputError(f"mouth must be {len(points)} finite angles [rad], got {tuple(turns.shape)}")
+        longest = 2 * LEAD + math.ceil(math.hypot(*self.size) / self.speed_of_sound * fs)  # of a direct sound
+        heard = direct_responses(
+            points,
+            array.positions,
+            directivity,
+            turns,
+            length=max(longest, self._length(fs)),
+            fs=fs,
+            speed_of_sound=self.speed_of_sound,
+        )
+        if self.t60 > 0:
+            reflections = self._reflections(array, fs, directivity)
+            weights = harmonics(turns) if directivity is not None else torch.ones(len(points), 1)
+            for k, point in enumerate(points):
+                heard[k, :, : self._length(fs)] += torch.einsum(
+                    "c,cml->ml", weights[k].to(heard), reflections.at(point).to(heard)
+                )
+        return heard
+
     def responses(
         self, array: MicrophoneArray, fs: int, directivity: Directivity | None, cache: ResponseCache | None
     ) -> Callable[[Node], Tensor]:
@@ -105,8 +155,7 @@ class ShoeboxRoom(Room):
 
         @functools.cache
         def computed() -> DirectionalResponses:  # takes a second or two: not made where all is in the cache
-            images = self._images(array, fs)
-            return DirectionalResponses(images, directivity, self._length(fs), fs, self.speed_of_sound)
+            return self._reflections(array, fs, directivity)
 
         def of(node: Node) -> Tensor:
             known = store.get(node) if store is not None else None
@@ -130,18 +179,37 @@ class ShoeboxRoom(Room):
             place = ", ".join(f"{x:g}" for x in points[outside][0].tolist())
             raise InputError(f"{what} at ({place}) m is outside the room of {self.size} m")
 
+    def _check_places(self, points: Tensor, array: MicrophoneArray, fs: int) -> None:
+        check_int(fs, "fs", low=1)
+        self.check_inside(points, "talker")
+        self.check_inside(array.positions, array.name + ": microphone")
+
+    def _check_sound(self, signal: Tensor, motion: Motion) -> None:
+        if signal.ndim != 1 or len(signal) == 0:
+            raise InputError(f"signal must have shape (S,) with S > 0, got {tuple(signal.shape)}")
+        if motion.position.shape != (len(signal), 3) or motion.mouth.shape != signal.shape:
+            raise InputError(
+                f"motion must have positions ({len(signal)}, 3) and mouths ({len(signal)},), "
+                f"got {tuple(motion.position.shape)} and {tuple(motion.mouth.shape)}"
+            )
+        for name, values in (("signal", signal), ("mouth", motion.mouth)):
+            if not values.isfinite().all():
+                raise NotFiniteError(f"{name} must be finite, got NaN or infinite samples")
+
     def _nearest(self, positions: Tensor) -> Tensor:
-        last = torch.tensor([max(math.ceil(s / self.spacing) - 1, 0) for s in self.size])
-        return (positions.double() / self.spacing).round().long().clamp(torch.zeros(3, dtype=torch.long), last)
+        return (positions.double() / self.spacing).round().long()
 
     def _point(self, node: Node) -> Tensor:
-        """Return where a point of the grid is: none lies on a wall."""
+        """Return where a point of the grid is: those on a wall or beyond it are moved inside."""
         point = torch.tensor(node, dtype=torch.float64) * self.spacing
         edge = min(0.02, *(s / 4 for s in self.size))
         return torch.maximum(point, torch.tensor(edge)).minimum(torch.tensor(self.size) - edge)
 
     def _length(self, fs: int) -> int:
         return LEAD + math.ceil(self.t60 * COMPLETE / 60 * fs)
+
+    def _reflections(self, array: MicrophoneArray, fs: int, directivity: Directivity | None) -> DirectionalResponses:
+        return DirectionalResponses(self._images(array, fs), directivity, self._length(fs), fs, self.speed_of_sound)
 
     def _images(self, array: MicrophoneArray, fs: int) -> Images:
         order = max_order(self.size, self.t60, self.speed_of_sound)
@@ -161,6 +229,7 @@ class ShoeboxRoom(Room):
             "microphones": [[round(x, 6) for x in row] for row in array.positions.tolist()],
             "directivity": pattern,
             "complete_db": COMPLETE,
+            "method": METHOD,
             "pyroomacoustics": _version(),
         }
 
