@@ -29,8 +29,11 @@ def load_noise(path: str | Path, fs: int) -> Tensor:
 
 
 def stretch(recording: Tensor, size: int, fs: int, generator: torch.Generator) -> Tensor:
-    """Return `size` samples of a `recording` (C, L) from a random start, over again where it is too short."""
-    if recording.shape[-1] < size:
+    """Return `size` samples of a `recording` (C, L) from a random start.
+
+    One shorter than twice that goes round, its end fading into its start: otherwise there would be few starts.
+    """
+    if recording.shape[-1] < 2 * size:
         return _around(_loop(recording, fs), size, 1, generator)[:, 0]
     start = _uniform(recording.shape[-1] - size + 1, generator)
     return recording[:, start : start + size]

@@ -17,8 +17,8 @@ from probtrack.simulation.rooms.cache import ResponseCache
 class RecordedNoise(Noise):
     """Noise recorded with the very array of the scene, one channel a microphone.
 
-    Used as it is, from a random start, resampled to the rate of the scene, and repeated with a cross-fade of
-    50 ms where it is too short. Levels and coherence between the channels stay.
+    Used as it is, from a random start, resampled to the rate of the scene; one shorter than twice the scene goes
+    round, with a cross-fade of 50 ms. Levels of and coherence between the channels stay.
 
     Args:
         file: Audio file with as many channels as there are microphones.

@@ -20,8 +20,8 @@ def spectral_gain(spectrum: str, frequency: Tensor) -> Tensor:
       our own: measured averages lie about it by some dB.)
     - `fan`: the hiss of moving air, power density constant up to 250 Hz and falling by 6 dB an octave above.
 
-    >>> spectral_gain("pink", torch.tensor([100.0, 400.0])).tolist()
-    [0.1, 0.05]
+    >>> spectral_gain("pink", torch.tensor([64.0, 256.0])).tolist()
+    [0.125, 0.0625]
     """
     if spectrum not in _GAINS:
         raise InputError(f"spectrum must be one of {', '.join(_GAINS)}, got {spectrum!r}")

@@ -53,7 +53,7 @@ class Responses(NamedTuple):
         if self._agreement() < _CONTRADICTION:
             raise InputError(
                 f"{name}: responses contradict the positions: sound arrives first at the microphones that are farther "
-                "away; are channels exchanged, or azimuths counted clockwise?"
+                "away; are channels exchanged, or azimuths counted clockwise (clockwise: true)?"
             )
         return self
 
