@@ -1,1 +1,21 @@
 """How talkers walk, stop and turn."""
+
+from probtrack.simulation.trajectories.base import Trajectories as Trajectories
+from probtrack.simulation.trajectories.papers import fallon2006_way as fallon2006_way
+from probtrack.simulation.trajectories.papers import klaassen2005_ways as klaassen2005_ways
+from probtrack.simulation.trajectories.papers import lehmann2007_way as lehmann2007_way
+from probtrack.simulation.trajectories.paths import GivenPaths as GivenPaths
+from probtrack.simulation.trajectories.paths import SmoothPaths as SmoothPaths
+from probtrack.simulation.trajectories.paths import smooth_path as smooth_path
+from probtrack.simulation.trajectories.sampled import ModelWalk as ModelWalk
+from probtrack.simulation.trajectories.sampled import sample_paths as sample_paths
+from probtrack.simulation.trajectories.social_force import SocialForceWalk as SocialForceWalk
+from probtrack.simulation.trajectories.turning import FacingPoint as FacingPoint
+from probtrack.simulation.trajectories.turning import InTurn as InTurn
+from probtrack.simulation.trajectories.turning import Turning as Turning
+from probtrack.simulation.trajectories.turning import TurningTo as TurningTo
+from probtrack.simulation.trajectories.turning import Waiting as Waiting
+from probtrack.simulation.trajectories.ways import Arc as Arc
+from probtrack.simulation.trajectories.ways import Standing as Standing
+from probtrack.simulation.trajectories.ways import Through as Through
+from probtrack.simulation.trajectories.ways import Way as Way

@@ -1,4 +1,4 @@
-"""What a walker must not run into, as half-planes: how far away it is, how it pushes, and which velocities it allows."""
+"""What a walker must not run into, as half-planes: how far it is, how it pushes, which velocities it allows."""
 
 from typing import NamedTuple
 

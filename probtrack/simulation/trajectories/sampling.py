@@ -32,7 +32,8 @@ def check_draw(seeds: Sequence[int], num_talkers: int, region: Region, microphon
     if len(seeds) == 0:
         raise InputError("seeds must have one integer a run, got none")
     for seed in seeds:
-        check_int(seed, "seeds", low=0)
+        if check_int(seed, "seeds", low=0) >= 2**63:
+            raise InputError(f"seeds must be integers below 2^63, got {seed}")
     check_int(num_talkers, "num_talkers", low=1)
     if region.axes != 3:
         raise InputError(f"region must have 3 axes, got {region.axes}")

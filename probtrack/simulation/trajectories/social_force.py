@@ -125,8 +125,8 @@ class SocialForceWalk(Trajectories):
         times = sample_times(duration, rate)
         surroundings = self._surroundings(region, microphones)
         num_nodes = int(times[-1] / STEP) + 2
-        unit = _uniforms(seeds, (num_talkers, 2 + 2 * _CANDIDATES), (num_nodes, num_talkers, NUM_UNIFORMS))
-        traits, numbers = unit
+        shapes = (num_talkers, 2 + 2 * _CANDIDATES), (num_nodes, num_talkers, NUM_UNIFORMS)
+        traits, numbers = _uniforms(seeds, *shapes)
         habits = self._habits(traits[..., 0])
         state = first(_begin(traits[..., 2:], surroundings, self.apart), numbers[0], habits, surroundings)
         nodes = [state]
@@ -203,7 +203,8 @@ def _truncated_normal(unit: Tensor, mean: float, std: float, low: float, high: f
     if std == 0:
         return torch.full_like(unit, mean)
     ends = torch.special.ndtr(torch.tensor([low - mean, high - mean], dtype=unit.dtype) / std)
-    return (mean + std * torch.special.ndtri(torch.lerp(ends[0], ends[1], unit))).clamp(low, high)
+    quantile: Tensor = mean + std * torch.special.ndtri(torch.lerp(ends[0], ends[1], unit))
+    return quantile.clamp(low, high)
 
 
 def _begin(unit: Tensor, surroundings: Surroundings, apart: float) -> Tensor:

@@ -21,7 +21,7 @@ _TURN_EXPONENT = -0.8
 _STANDING_TURN = 3.0  # rad/s at most
 _TURN_GAIN = 3.0  # 1/s, turn rate asked for an error of one radian
 _TURN_LAG = 0.15  # s, in which the body takes up that rate
-_HEAD_LAG = 0.2  # s, of each of the two lags of the head
+_HEAD_LAG = 0.25  # s, of each of the two lags of the head
 _ASIDE = 0.5  # rad
 _PATIENCE = 5.0  # s beyond twice the time a goal takes, after which another is taken
 
@@ -219,7 +219,8 @@ def _goal(place: Tensor, unit: Tensor, surroundings: Surroundings) -> Tensor:
     s = surroundings
     one, two = (s.low + (s.high - s.low) * unit[..., i : i + 2] for i in (0, 2))
     nearer = torch.linalg.vector_norm(one - place, dim=-1) < torch.linalg.vector_norm(two - place, dim=-1)
-    return torch.where(nearer[..., None], two, one)
+    farther: Tensor = torch.where(nearer[..., None], two, one)
+    return farther
 
 
 def _patience(place: Tensor, goal: Tensor, habits: Habits) -> Tensor:
@@ -227,7 +228,8 @@ def _patience(place: Tensor, goal: Tensor, habits: Habits) -> Tensor:
 
 
 def _exponential(unit: Tensor, mean: float) -> Tensor:
-    return -mean * torch.log1p(-unit)
+    time: Tensor = -mean * torch.log1p(-unit)
+    return time
 
 
 def _direction(offset: Tensor) -> Tensor:
