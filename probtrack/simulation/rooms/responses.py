@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import soundfile
 import torch
-import torchaudio.functional as F
 from torch import Tensor
 
 from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray
+from probtrack.simulation.rooms.switching import fast_size
 
 _LEAD = 64  # samples before time zero that a resampled response is given at least: it rings before the direct sound
+_FLAT = 0.95  # of the band that resampling keeps as it is
 _ONSET = 0.3  # of the peak of a response, where it is taken to begin
 _CONTRADICTION = -0.5  # correlation of arrival times with distances, from which on something is mirrored
 
@@ -98,8 +99,14 @@ def resampled(response: Tensor, fs: int, to: int) -> Tensor:
     """
     if fs == to:
         return response
-    padded = torch.nn.functional.pad(response, (resampling_lead(to, fs), 0))
-    changed: Tensor = F.resample(padded, fs, to) * (fs / to)
+    step, lead = math.gcd(fs, to), resampling_lead(to, fs)
+    blocks = fast_size(math.ceil((lead + response.shape[-1] + lead) / (fs // step)))
+    spectrum = torch.fft.rfft(torch.nn.functional.pad(response, (lead, 0)), blocks * (fs // step))
+    kept = blocks * (min(fs, to) // step) // 2 + 1
+    share = torch.linspace(0, 1, kept, dtype=torch.float64)  # of the common band; a sharp edge would ring for long
+    edge = torch.cos(torch.pi / 2 * ((share - _FLAT) / (1 - _FLAT)).clamp(min=0)).square()
+    # the transforms divide by their sizes, which undoes what fewer samples change
+    changed: Tensor = torch.fft.irfft(spectrum[..., :kept] * edge.to(response), blocks * (to // step))
     return changed
 
 
