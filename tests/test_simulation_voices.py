@@ -1,16 +1,19 @@
+"""The synthetic voice as sound: formants, pitch, spectrum and rhythm, measured."""
+
 import numpy as np
 import pytest
-import soundfile
 import torch
 
 from probtrack.errors import InputError
-from probtrack.simulation import VOWELS, load_speech, speech_activity, sustained_vowel, synthesise_speech
+from probtrack.simulation.voices import VOWELS, SyntheticVoice, SyntheticVoices, TurnTaking, sustained_vowel
 
 FS = 16000
+MAN = SyntheticVoices((SyntheticVoice(),))
 
 
-def speech(seed=0, duration=20.0):
-    return synthesise_speech(duration, FS, generator=torch.Generator().manual_seed(seed))
+def speech(seed=0, duration=20.0, voices=MAN, fs=FS):
+    turns = TurnTaking().draw(1, duration, torch.Generator().manual_seed(seed))
+    return voices.speak(turns, duration=duration, fs=fs, seed=seed)[0]
 
 
 def free_resonances(x, order=14):
@@ -22,12 +25,6 @@ def free_resonances(x, order=14):
     return np.angle(roots) * FS / (2 * np.pi), -np.log(np.abs(roots)) * FS / np.pi
 
 
-def runs(active):
-    """Start and end of each run of True [samples]."""
-    edges = torch.nn.functional.pad(active.int(), (1, 1)).diff()
-    return torch.stack([(edges == 1).nonzero()[:, 0], (edges == -1).nonzero()[:, 0]], -1)
-
-
 @pytest.mark.parametrize("vowel", VOWELS)
 def test_sustained_vowel_has_its_formants(vowel):
     x = sustained_vowel(vowel, 0.5, FS, pitch=50.0).numpy()
@@ -35,6 +32,13 @@ def test_sustained_vowel_has_its_formants(vowel):
     frequencies, bandwidths = free_resonances(shut)
     np.testing.assert_allclose(frequencies[:3], VOWELS[vowel][0], rtol=0.02)
     np.testing.assert_allclose(bandwidths[:3], VOWELS[vowel][1], rtol=0.2)
+
+
+def test_a_shorter_vocal_tract_scales_all_formants():
+    x = sustained_vowel("E", 0.5, FS, pitch=50.0, formant_scale=1.17).numpy()
+    frequencies, bandwidths = free_resonances(x[3200 + 220 : 3200 + 300])
+    np.testing.assert_allclose(frequencies[:4], 1.17 * np.array([*VOWELS["E"][0], 3500.0]), rtol=0.02)
+    np.testing.assert_allclose(bandwidths[:3], VOWELS["E"][1], rtol=0.2)
 
 
 @pytest.mark.parametrize("pitch", [80.0, 131.0, 210.0])
@@ -55,32 +59,23 @@ def test_pulses_do_not_alias():
     assert 10 * torch.log10(power[~harmonic].max() / power.max()) < -60
 
 
-def test_active_about_two_thirds_of_the_time():
-    share = torch.stack([speech(seed).active.double().mean() for seed in range(4)]).mean()
-    assert 0.62 < share < 0.74
-
-
-def test_utterances_and_pauses_last_as_long_as_people_s():
-    spans = runs(speech(1).active) / FS
-    utterances, pauses = (spans[:, 1] - spans[:, 0])[:-1], spans[1:, 0] - spans[:-1, 1]
-    assert ((utterances > 1.49) & (utterances < 3.01)).all()
-    assert ((pauses > 0.69) & (pauses < 1.11)).all()
-
-
 def test_silent_in_pauses_and_at_its_level_in_between():
-    x, active = speech(2)
+    x, active, _ = speech(2)
     assert x[~active].abs().max() == 0
-    assert x[active].square().mean().sqrt() == pytest.approx(0.07, rel=0.01)
+    assert x[active].square().mean().sqrt() == pytest.approx(0.07, rel=1e-6)
     assert x.abs().max() < 0.95
 
 
-def test_syllables_follow_each_other_about_four_times_a_second():
-    x, active = speech(3)
-    envelope = torch.nn.functional.avg_pool1d(x[active].square()[None], FS // 50, FS // 50)[0].sqrt()
+@pytest.mark.parametrize("rate", [3.0, 5.0])
+def test_syllables_follow_each_other_at_their_rate(rate):
+    voices = SyntheticVoices((SyntheticVoice(rate=rate),))
+    x = voices.speak([[(0.0, 20.0)]], duration=20.0, fs=FS, seed=3)[0].samples
+    envelope = torch.nn.functional.avg_pool1d(x.square()[None], FS // 50, FS // 50)[0].sqrt()
     power = torch.fft.rfft((envelope - envelope.mean()) * torch.hann_window(len(envelope))).abs().square()
     frequency = torch.arange(len(power)) * 50 / len(envelope)
-    in_band = (frequency > 2.5) & (frequency < 6)
-    assert power[in_band].sum() > 0.4 * power.sum()
+    smooth = torch.nn.functional.avg_pool1d(power[None], 21, 1, 10)[0]
+    low = frequency < 1.5 * rate
+    assert frequency[low][smooth[low].argmax()] == pytest.approx(rate, rel=0.15)
 
 
 def test_long_term_spectrum_falls_like_speech():
@@ -109,47 +104,83 @@ def test_default_dtype_does_not_change_what_is_said():
     torch.testing.assert_close(single.samples.double(), double.samples, rtol=0, atol=1e-7)
 
 
-def test_activity_finds_the_pauses_of_a_recording():
-    x, active = speech(8)
-    found = speech_activity(x + 1e-3 * torch.randn(len(x)), FS)
-    assert (found == active).double().mean() > 0.95
+def test_one_talker_says_the_same_however_many_others_there_are():
+    turns = [[(0.2, 1.5)], [(1.7, 2.6)], []]
+    alone = SyntheticVoices().speak(turns[:1], duration=3.0, fs=FS, seed=11)
+    together = SyntheticVoices().speak(turns, duration=3.0, fs=FS, seed=11)
+    torch.testing.assert_close(alone[0].samples, together[0].samples, rtol=0, atol=0)
+    assert not torch.equal(together[0].active, together[1].active)
+    assert together[2].samples.abs().max() == 0
+    assert not together[2].active.any()
 
 
-def test_activity_of_a_steady_sound_is_all_speech():
-    assert speech_activity(torch.randn(FS), FS).all()
+def test_drawn_voices_are_men_and_women():
+    voices = [SyntheticVoice.draw(torch.Generator().manual_seed(seed)) for seed in range(300)]
+    women = [voice for voice in voices if voice.formant_scale > 1.08]
+    men = [voice for voice in voices if voice.formant_scale <= 1.08]
+    assert 110 < len(women) < 190
+    assert all(165 < voice.pitch < 265 for voice in women)
+    assert all(95 < voice.pitch < 151 for voice in men)
 
 
-def test_load_resamples_downmixes_and_repeats(tmp_path):
-    t = torch.arange(8000) / 8000
-    tone = torch.sin(2 * torch.pi * 440 * t)
-    soundfile.write(tmp_path / "two.wav", torch.stack([tone, 0.5 * tone], -1).numpy(), 8000)
-    samples, active = load_speech(tmp_path / "two.wav", FS, 2.5)
-    assert samples.shape == active.shape == (40000,)
-    power = torch.fft.rfft(samples[20000:36000] * torch.hann_window(16000)).abs()
-    assert int(power.argmax()) == 440
-    torch.testing.assert_close(samples[:16000], samples[16000:32000])
+@pytest.mark.parametrize("fs", [8000, 22050, 44100, 48000])
+def test_any_sampling_rate_says_the_same(fs):
+    voices = SyntheticVoices((SyntheticVoice(breath=0.7),))
+    bands, vowels = [], []
+    for rate in (FS, fs):
+        x, _, score = speech(8, 6.0, voices, rate)
+        assert len(x) == 6 * rate
+        power = torch.fft.rfft(x).abs().square()[6 * 200 : 6 * 1400].reshape(12, -1).sum(-1)
+        bands.append(10 * torch.log10(power / power.sum()))
+        vowels.append(score.vowel[torch.searchsorted(score.time, torch.arange(0.1, 5.9, 0.05))])
+    # at 16 kHz, images of the resonators stand for the formants that are missing above: 3 dB at 2.5 kHz
+    assert (bands[0] - bands[1]).abs().mean() < 0.7
+    assert (vowels[0] == vowels[1]).double().mean() > 0.93  # but where one begins or ends
 
 
-@pytest.mark.parametrize(("content", "message"), [(None, "cannot read speech"), (b"text", "cannot read speech")])
-def test_load_rejects_what_is_no_sound_file(tmp_path, content, message):
-    if content is not None:
-        (tmp_path / "a.wav").write_bytes(content)
-    with pytest.raises(InputError, match=f"a.wav: {message}") as caught:
-        load_speech(tmp_path / "a.wav", FS, 1.0)
-    assert "\n" not in str(caught.value)
+def test_no_click_where_utterances_begin_and_end():
+    x, active, _ = speech(9, 15.0)
+    edges = active.int().diff().nonzero()[:, 0]
+    steps = x.diff().abs()
+    around = torch.stack([steps[edge - 8 : edge + 8].max() for edge in edges if 8 < edge < len(steps) - 8])
+    assert around.max() < torch.quantile(steps[active[1:]], 0.99)
 
 
-@pytest.mark.parametrize("samples", [0, 100])
-def test_load_rejects_silence(tmp_path, samples):
-    soundfile.write(tmp_path / "a.wav", np.zeros(samples), FS)
-    with pytest.raises(InputError, match="holds no sound"):
-        load_speech(tmp_path / "a.wav", FS, 1.0)
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"pitch": 20.0}, "pitch must be between 40 and 600, got 20.0"),
+        ({"pitch_range": -1.0}, "pitch_range must be between 0 and 24, got -1.0"),
+        ({"formant_scale": 2.0}, "formant_scale must be between 0.7 and 1.6, got 2.0"),
+        ({"jitter": 0.5}, "jitter must be between 0 and 0.05, got 0.5"),
+        ({"breath": -1.0}, "breath must be finite and not negative, got -1.0"),
+        ({"rate": float("nan")}, "rate must be between 1 and 10, got nan"),
+    ],
+)
+def test_rejects_voices_that_cannot_be(setting, message):
+    with pytest.raises(InputError, match=message):
+        SyntheticVoice(**setting)
 
 
-def test_rejects_bad_arguments():
-    with pytest.raises(InputError, match="duration must be finite and positive, got 0"):
-        synthesise_speech(0, FS, generator=torch.Generator())
-    with pytest.raises(InputError, match="fs must be at least 8000 Hz, got 4000"):
-        synthesise_speech(1.0, 4000, generator=torch.Generator())
+@pytest.mark.parametrize(
+    ("turns", "settings", "message"),
+    [
+        ([[(0.0, 1.0)], []], {}, "talkers must be at least as many as the turns are for, 2, got 1"),
+        ([[(1.0, 0.5)]], {}, r"turns of talker 0 must be in order and within 2.0 s, got \(1.0, 0.5\)"),
+        ([[(0.0, 2.5)]], {}, r"within 2.0 s, got \(0.0, 2.5\)"),
+        ([[(0.5, 1.0), (0.8, 1.2)]], {}, r"in order .* got \(0.8, 1.2\)"),
+        ([[(float("nan"), 1.0)]], {}, r"in order .* got \(nan, 1.0\)"),
+        ([[(1.0, 1.00001)]], {}, "turns must be utterances of at least one sample, got"),
+        ([[]], {"duration": 0.0}, "duration must be finite and positive, got 0"),
+        ([[]], {"fs": 4000}, "fs must be an integer of at least 8000, got 4000"),
+        ([[]], {"seed": -1}, "seed must be an integer of at least 0, got -1"),
+    ],
+)
+def test_rejects_what_cannot_be_spoken(turns, settings, message):
+    with pytest.raises(InputError, match=message):
+        MAN.speak(turns, **({"duration": 2.0, "fs": FS, "seed": 0} | settings))
+
+
+def test_rejects_a_vowel_that_is_not_known():
     with pytest.raises(InputError, match="vowel must be one of i, I"):
         sustained_vowel("o", 1.0)

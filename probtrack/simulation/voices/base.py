@@ -14,11 +14,9 @@ from probtrack.errors import InputError
 LEVEL = 0.07
 """Root mean square of the speech where it is active, full scale being 1."""
 
-_PEAK = 0.95
-
 
 class VoiceScore(NamedTuple):
-    """What a synthetic voice does, one setting every 5 ms: the truth for formant, pitch and vowel estimators.
+    """What a synthetic voice does, one setting about every 5 ms: the truth for formant, pitch and vowel estimators.
 
     Between two settings all values go along straight lines. Where nothing is said they are 0.
 
@@ -43,7 +41,7 @@ class Speech(NamedTuple):
     """Sound of one talker and the truth of when it speaks.
 
     Attributes:
-        samples: (S,), full scale 1.
+        samples: (S,), root mean square `LEVEL` where active; full scale is 1.
         active: (S,) bool, True from the start to the end of each utterance.
         score: What a synthetic voice did; None of a recorded one.
     """
@@ -87,7 +85,7 @@ def sample_spans(
                     f"turns of talker {talker} must be in order and within {duration} s, got ({start}, {end})"
                 )
             before = end
-    return [[(round(start * fs), round(end * fs)) for start, end in utterances] for utterances in turns]
+    return [[_span(start, end, fs) for start, end in utterances] for utterances in turns]
 
 
 def talker_generators(seed: int, num_talkers: int) -> list[torch.Generator]:
@@ -98,9 +96,18 @@ def talker_generators(seed: int, num_talkers: int) -> list[torch.Generator]:
 
 
 def at_level(samples: Tensor, active: Tensor) -> Tensor:
-    """Scale to an active level of `LEVEL`, or less where a peak would otherwise pass 0.95; silence stays."""
+    """Scale to a root mean square of `LEVEL` where `active`; silence stays silence.
+
+    The level is exact, and so are ratios between talkers: of real speech a rare pop may pass full scale.
+    """
     power = float(samples[active].square().mean()) if active.any() else 0.0
     if power > 0:
-        gain = min(LEVEL / math.sqrt(power), _PEAK / float(samples.abs().max()))
-        samples = samples * gain
+        samples = samples * (LEVEL / math.sqrt(power))
     return samples.to(torch.get_default_dtype())
+
+
+def _span(start: float, end: float, fs: int) -> tuple[int, int]:
+    first, last = round(start * fs), round(end * fs)
+    if first == last:
+        raise InputError(f"turns must be utterances of at least one sample, got ({start}, {end})")
+    return first, last

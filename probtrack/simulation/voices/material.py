@@ -33,7 +33,10 @@ def find_talkers(folder: str) -> dict[str, Path]:
     if not root.is_dir():
         raise InputError(f"{folder}: no such file or folder of speech")
     entries = sorted(entry for entry in root.iterdir() if not entry.name.startswith("."))
-    files = {entry.stem: entry for entry in entries if _is_audio(entry)}
+    audio = [entry for entry in entries if _is_audio(entry)]
+    files = {entry.stem: entry for entry in audio}
+    if len(files) < len(audio):
+        raise InputError(f"{folder}: audio files must differ in more than their suffix")
     talkers = files or {entry.name: entry for entry in entries if entry.is_dir()}
     if not talkers:
         raise InputError(f"{folder}: holds no audio files and no folders of talkers")

@@ -31,17 +31,20 @@ class RecordedVoices(Voices):
     folder: str
     talkers: tuple[str, ...] | None = None
 
+    def __post_init__(self) -> None:
+        if self.talkers is not None and len(set(self.talkers)) < len(self.talkers):
+            raise InputError(f"talkers must be different names, got {', '.join(self.talkers)}")
+
     def speak(
         self, turns: Sequence[Sequence[tuple[float, float]]], *, duration: float, fs: int, seed: int
     ) -> list[Speech]:
-        spans = sample_spans(turns, duration, fs)
+        spans, generators = sample_spans(turns, duration, fs), talker_generators(seed, len(turns))
         size = round(duration * fs)
         starts = torch.tensor([*sorted(first for talker in spans for first, _ in talker), size])
+        places = self._places(len(turns), seed)
         return [
             _fill(Reel(talker_files(place), fs, generator), utterances, starts, size)
-            for place, utterances, generator in zip(
-                self._places(len(turns), seed), spans, talker_generators(seed, len(turns)), strict=True
-            )
+            for place, generator, utterances in zip(places, generators, spans, strict=True)
         ]
 
     def _places(self, count: int, seed: int) -> list[Path]:

@@ -15,6 +15,8 @@ from probtrack.simulation.voices.phonemes import VOWELS
 from probtrack.simulation.voices.syllables import Articulation, utterance
 from probtrack.simulation.voices.vocal_tract import HOP, filter_frames, friction, glottal_pulses, vocal_tract
 
+_RATE = 16000  # Hz, at which the amplitude of breath is given
+
 
 @dataclass(frozen=True)
 class SyntheticVoice:
@@ -78,7 +80,7 @@ class SyntheticVoices(Voices):
         spans = sample_spans(turns, duration, fs)
         if self.talkers is not None and len(self.talkers) < len(turns):
             raise InputError(
-                f"talkers must be at least as many as the turns are for {len(turns)}, got {len(self.talkers)}"
+                f"talkers must be at least as many as the turns are for, {len(turns)}, got {len(self.talkers)}"
             )
         spoken = []
         for talker, generator in enumerate(talker_generators(seed, len(turns))):
@@ -99,10 +101,10 @@ def sustained_vowel(
         raise InputError(f"vowel must be one of {', '.join(VOWELS)}, got {vowel}")
     size = round(duration * fs)
     count = math.ceil(size / round(HOP * fs)) + 1
-    formants, bandwidths = (torch.tensor(x, dtype=torch.float64).expand(count, 3) for x in VOWELS[vowel])
+    formants, bandwidths = (torch.tensor(x, dtype=torch.float64).expand(1, 3) for x in VOWELS[vowel])
+    throat = vocal_tract(formants * formant_scale, bandwidths, fs, formant_scale)
     source = glottal_pulses(torch.full((size,), pitch, dtype=torch.float64), fs)
-    samples = filter_frames(source, vocal_tract(formants * formant_scale, bandwidths, fs, formant_scale), fs)
-    return at_level(samples, torch.ones(size, dtype=torch.bool))
+    return at_level(filter_frames(source, count, lambda _: throat, fs), torch.ones(size, dtype=torch.bool))
 
 
 def _monologue(
@@ -113,21 +115,25 @@ def _monologue(
     fs: int,
     generator: torch.Generator,
 ) -> Speech:
-    """Return what one talker says, utterance by utterance."""
+    """Return what one talker says, utterance by utterance.
+
+    Noise has a generator of its own: how much of it is drawn depends on `fs`, what is said does not.
+    """
     size, hop = round(duration * fs), round(HOP * fs)
     samples, active = torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.bool)
     time = torch.arange(math.ceil(size / hop) + 1, dtype=torch.float64) * hop / fs
     score = _silent_score(time)
+    noise = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
     for (start, end), (first, last) in zip(utterances, spans, strict=True):
         low, high = first // hop, -(-last // hop) + 1
-        at = time[low:high]
+        at, place = time[low:high], torch.arange(low, high) * hop
         mouth = utterance(start, end, at, voice.rate, generator)
         mouth = mouth._replace(formants=mouth.formants * voice.formant_scale)
-        f0 = _melody(voice, mouth.stress, (at - start) / (end - start), generator)
-        sound = _phonate(voice, mouth, f0, fs, generator)
+        f0 = _melody(voice, mouth.stress, (at - start) / (end - start), noise)
+        sound = _phonate(voice, mouth, f0, fs, noise)
         samples[first:last] = sound[first - low * hop :][: last - first]
         active[first:last] = True
-        _write(score, slice(low, high), mouth, f0, (at >= start) & (at <= end))
+        _write(score, slice(low, high), mouth, f0, (place >= first) & (place <= last))
     return Speech(at_level(samples, active), active, score)
 
 
@@ -149,11 +155,16 @@ def _phonate(voice: SyntheticVoice, mouth: Articulation, f0: Tensor, fs: int, ge
     settings = torch.stack([f0, mouth.voicing, mouth.friction, mouth.aspiration], -1)
     at = torch.arange(size, dtype=torch.float64) / hop
     pitch, voicing, hiss, breath = interpolate(at, torch.arange(len(f0)).double(), settings).unbind(-1)
-    source = glottal_pulses(pitch, fs) * voicing + noise() * (voice.breath * voicing + breath)
-    throat = vocal_tract(mouth.formants, mouth.bandwidths, fs, voice.formant_scale)
-    return filter_frames(source, throat, fs) + filter_frames(
-        noise() * hiss, friction(mouth.centre, mouth.width, fs), fs
-    )
+    breath = (breath + voice.breath * voicing) * math.sqrt(fs / _RATE)  # the same density at any rate
+    source = glottal_pulses(pitch, fs) * voicing + noise() * breath
+
+    def throat(rows: slice) -> Tensor:
+        return vocal_tract(mouth.formants[rows], mouth.bandwidths[rows], fs, voice.formant_scale)
+
+    def lips(rows: slice) -> Tensor:
+        return friction(mouth.centre[rows], mouth.width[rows], fs)
+
+    return filter_frames(source, len(f0), throat, fs) + filter_frames(noise() * hiss, len(f0), lips, fs)
 
 
 def _silent_score(time: Tensor) -> VoiceScore:

@@ -1,6 +1,7 @@
 """How a voice sounds: glottal pulses and noise, shaped by formants that move."""
 
 import math
+from collections.abc import Callable
 
 import torch
 import torchaudio.functional as F
@@ -10,6 +11,7 @@ HOP = 0.005
 """Time between two settings of the vocal tract [s]."""
 
 _OVERSAMPLING = 4
+_BLOCK = 128  # settings that are worked out together
 _RESPONSE = 0.064  # s, after which a resonance of 80 Hz bandwidth has fallen by 140 dB
 _UPPER_FORMANTS = (
     (3500.0, 250.0),
@@ -92,22 +94,35 @@ def friction(centre: Tensor, bandwidth: Tensor, fs: int) -> Tensor:
     return response / response.abs().square().mean(-1, keepdim=True).sqrt()
 
 
-def filter_frames(source: Tensor, responses: Tensor, fs: int) -> Tensor:
-    """Filter `source` (S,) by responses (K, B) that follow each other every `HOP` seconds.
+def filter_frames(source: Tensor, count: int, respond: Callable[[slice], Tensor], fs: int) -> Tensor:
+    """Filter `source` (S,) by `count` responses that follow each other every `HOP` seconds.
 
     Each is applied to the source under a window that fades over to the next one's; the windows add up to one.
+
+    Args:
+        source: (S,), S at most (count - 1) * hop.
+        count: K.
+        respond: Returns the responses (k, B) of a slice of the K: a few at a time, for the sake of memory.
+        fs: Sampling rate [Hz].
     """
-    hop, size = round(HOP * fs), 2 * (responses.shape[-1] - 1)
+    hop, size = round(HOP * fs), _size(fs)
     window = torch.hann_window(2 * hop, dtype=source.dtype)
-    padded = torch.nn.functional.pad(source, (hop, (len(responses) + 1) * hop - len(source)))
-    frames = padded.unfold(0, 2 * hop, hop)[: len(responses)] * window
-    filtered = torch.fft.irfft(torch.fft.rfft(frames, size) * responses, size)
-    length = (len(responses) - 1) * hop + size
-    summed = torch.nn.functional.fold(filtered.T[None], (1, length), (1, size), stride=(1, hop)).flatten()
+    padded = torch.nn.functional.pad(source, (hop, (count + 1) * hop - len(source)))
+    frames = padded.unfold(0, 2 * hop, hop)
+    summed = torch.zeros(count * hop + size, dtype=source.dtype)
+    for first in range(0, count, _BLOCK):
+        rows = slice(first, min(first + _BLOCK, count))
+        filtered = torch.fft.irfft(torch.fft.rfft(frames[rows] * window, size) * respond(rows), size)
+        length = (len(filtered) - 1) * hop + size
+        added = torch.nn.functional.fold(filtered.T[None], (1, length), (1, size), stride=(1, hop)).flatten()
+        summed[first * hop : first * hop + length] += added
     return summed[hop : hop + len(source)]
 
 
+def _size(fs: int) -> int:
+    return 1 << math.ceil(math.log2(_RESPONSE * fs))
+
+
 def _bins(fs: int) -> Tensor:
-    size = 1 << math.ceil(math.log2(_RESPONSE * fs))
-    frequency: Tensor = torch.fft.rfftfreq(size, 1 / fs, dtype=torch.float64)
+    frequency: Tensor = torch.fft.rfftfreq(_size(fs), 1 / fs, dtype=torch.float64)
     return frequency
