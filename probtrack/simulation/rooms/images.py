@@ -43,12 +43,12 @@ def image_sources(
     """
     pra = _pyroomacoustics()
     room = pra.ShoeBox(list(size), max_order=max_order, materials=pra.Material(absorption), air_absorption=False)
-    for microphone in microphones.double():
-        room.add_source(microphone.numpy())
+    extent = torch.tensor(size, dtype=torch.float32)
+    for microphone in microphones.float():  # as pyroomacoustics keeps the size: one on the wall is inside then
+        room.add_source(torch.minimum(microphone, extent).double().numpy())
     room.add_microphone([0.5 * s for s in size])  # a room without one computes nothing
     room.image_source_model()
     positions, amplitudes = [], []
-    extent = torch.tensor(size, dtype=torch.float32)
     for source in room.sources:
         position = torch.from_numpy(source.images.T).float()
         gap = torch.maximum(position - extent, -position).clamp(min=0).square().sum(-1).sqrt()  # to the room

@@ -53,7 +53,7 @@ def max_order(size: tuple[float, float, float], t60: float, speed_of_sound: floa
         longest = t60 * ((3 / 4 * _MOST_IMAGES) ** (1 / 3) - 3) / (order - 2)
         raise InputError(
             f"room: t60 of {t60:g} s in a room of {size} m needs {4 / 3 * order**3:.1g} image sources: "
-            f"the longest that can be computed there is about {longest:.2g} s"
+            f"the longest that can be computed there is about {longest:.3g} s"
         )
     return order
 
