@@ -8,6 +8,7 @@ from probtrack import __version__
 from probtrack.errors import InputError
 
 COMMANDS = {
+    "simulate": "recordings of talkers in rooms, with their truth",
     "track": "a recording in, a talker's track out",
     "score": "figures of a track against the truth",
     "plot": "a picture of tracks, or of a recording tracked",
@@ -53,7 +54,7 @@ def _fail(program: str, message: str) -> int:
 
 
 def _help() -> str:
-    lines = [f"  {name:<8}{text}" for name, text in COMMANDS.items()]
+    lines = [f"  {name:<10}{text}" for name, text in COMMANDS.items()]
     return "\n".join(
         [
             "usage: probtrack COMMAND [options]",

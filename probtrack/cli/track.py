@@ -11,6 +11,7 @@ import torch
 from jsonargparse import ArgumentParser, Namespace
 from torch import Tensor
 
+from probtrack._threads import one_thread
 from probtrack.audio import Recording
 from probtrack.cli import flags
 from probtrack.errors import InputError
@@ -148,20 +149,9 @@ def checked_recording(
 @torch.inference_mode()
 def track_to(writer: TrackWriter, job: Job) -> None:
     """Track the recording of `job` and write the rows of each block as soon as they are known."""
-    with _one_thread(), _progress(job.recording) as watched:
+    with one_thread(), _progress(job.recording) as watched:
         for track in job.tracker.stream(watched(job.recording.blocks(_BLOCK)), job.state):
             writer.write(rows_of(track))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Work on one thread: frames are too small to share, and two that wait for a busy core are many times slower."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @contextmanager

@@ -1,18 +1,19 @@
-"""Recordings with truth: voices, walks, rooms and scenes on disk."""
+"""Recordings with truth: walks, voices, rooms, noise, and scenes and data sets on disk."""
 
-from probtrack.simulation.paths import Walk as Walk
-from probtrack.simulation.paths import smooth_path as smooth_path
-from probtrack.simulation.rooms import LEAD as LEAD
-from probtrack.simulation.rooms import ShoeboxRoom as ShoeboxRoom
-from probtrack.simulation.rooms import reverberation_time as reverberation_time
+from probtrack.simulation.data_set import DataSet as DataSet
+from probtrack.simulation.data_set import load_data_set as load_data_set
+from probtrack.simulation.data_set import make_data_set as make_data_set
+from probtrack.simulation.data_set import read_manifest as read_manifest
+from probtrack.simulation.faults import Faults as Faults
+from probtrack.simulation.motion import Motion as Motion
+from probtrack.simulation.presets import demo_scene as demo_scene
+from probtrack.simulation.presets import preset as preset
+from probtrack.simulation.presets import shipped_scenes as shipped_scenes
+from probtrack.simulation.rooms import ResponseCache as ResponseCache
+from probtrack.simulation.rooms import default_cache as default_cache
+from probtrack.simulation.scene_folder import SceneFolder as SceneFolder
+from probtrack.simulation.scene_folder import load_scene as load_scene
+from probtrack.simulation.scene_folder import save_scene as save_scene
 from probtrack.simulation.scenes import Recording as Recording
 from probtrack.simulation.scenes import Scene as Scene
-from probtrack.simulation.scenes import Truth as Truth
-from probtrack.simulation.scenes import add_noise as add_noise
-from probtrack.simulation.scenes import demo_scene as demo_scene
-from probtrack.simulation.voices import VOWELS as VOWELS
-from probtrack.simulation.voices import Speech as Speech
-from probtrack.simulation.voices import load_speech as load_speech
-from probtrack.simulation.voices import speech_activity as speech_activity
-from probtrack.simulation.voices import sustained_vowel as sustained_vowel
-from probtrack.simulation.voices import synthesise_speech as synthesise_speech
+from probtrack.simulation.truth import Truth as Truth

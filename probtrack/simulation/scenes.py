@@ -1,54 +1,29 @@
-"""A talker who walks and speaks in a room, as a recording with its truth: a folder on disk."""
+"""Talkers who walk and speak in a room, as a recording with its truth."""
 
-import csv
-import dataclasses
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
-import soundfile
+import numpy as np
 import torch
-import yaml
 from torch import Tensor
 
+from probtrack._checks import check_int
 from probtrack.errors import InputError
-from probtrack.geometry import MicrophoneArray, azimuth, shipped_arrays
-from probtrack.simulation.paths import smooth_path
+from probtrack.geometry import MicrophoneArray, shipped_arrays
+from probtrack.simulation.faults import Faults
 from probtrack.simulation.motion import Motion
-from probtrack.simulation.rooms import ShoeboxRoom
-from probtrack.simulation.voices import load_speech, synthesise_speech
+from probtrack.simulation.noise import Noise, WhiteNoise, at_snr, mixed
+from probtrack.simulation.rooms import SPEECH, ResponseCache, Room
+from probtrack.simulation.trajectories import Trajectories
+from probtrack.simulation.truth import FRAME, Truth
+from probtrack.simulation.voices import Speech, Turns, TurnTaking, Voices
 
-FRAME, HOP = 512, 256
-"""Length of the frames that the truth is given for, and the way from one to the next [samples]."""
-
-_PEAK = 0.9  # of the loudest sample in a saved recording
-
-
-class Truth(NamedTuple):
-    """What the talker does at the centre of each frame, T rows.
-
-    Attributes:
-        time: (T,) [s].
-        position: (T, 3), of the mouth [m].
-        azimuth: (T,), seen from the centre of the array [rad].
-        heading: (T,), direction of motion [rad].
-        speech: (T,) bool.
-    """
-
-    time: Tensor
-    position: Tensor
-    azimuth: Tensor
-    heading: Tensor
-    speech: Tensor
-
-    def save(self, path: str | Path) -> None:
-        """Write the rows as CSV in the columns of a track file."""
-        with Path(path).open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["time", "track", "x", "y", "z", "azimuth", "heading", "speech"])
-            for t, xyz, *angles, speech in zip(*(column.tolist() for column in self), strict=True):
-                numbers = [f"{value:.6f}" for value in (*xyz, *angles)]
-                writer.writerow([f"{t:.6f}", 1, *numbers, int(speech)])
+_PEAK = 0.9  # of the loudest sample of a recording
+_PURPOSES = ("motion", "turns", "voices", "noise", "faults")
+_LONGEST = 1800.0  # s; a scene is worked out as a whole, in memory
 
 
 class Recording(NamedTuple):
@@ -57,139 +32,155 @@ class Recording(NamedTuple):
     Attributes:
         audio: (M, S), full scale 1.
         fs: Sampling rate [Hz].
-        truth: The talker at the centre of each frame.
+        array: The microphones as they are said to be.
+        true_array: As they are: another object only where their positions have errors.
+        truth: The talkers at the centre of each frame.
+        speech: The dry speech of each talker, with its own truth.
     """
 
     audio: Tensor
     fs: int
+    array: MicrophoneArray
+    true_array: MicrophoneArray
     truth: Truth
+    speech: list[Speech]
 
 
-@dataclasses.dataclass(frozen=True)
-class Scene:
-    """One talker on a smooth path in a room; the same scene gives the same recording, bit for bit.
+class Heard(NamedTuple):
+    """A scene before its noise: what is the same at every signal-to-noise ratio.
 
-    Args:
-        path: Points (K, 3) the mouth passes through [m].
-        duration: [s].
-        room: Length, width and height [m].
-        t60: Reverberation time [s].
-        snr_db: Speech, with its reverberation and while it is active, over white sensor noise [dB].
-        seed: Of what is said and of the noise.
-        speech: Audio file of a voice to use; None for a synthetic one.
-        array: Name of an array that ships with probtrack, or an array file.
-        fs: Sampling rate [Hz].
-        spacing: Way between two points that the reflections are computed for [m].
+    Attributes:
+        clean: (M, S), the talkers with their reverberation.
+        noise: (M, S), all noises together, of any power.
+        recording: The rest, without audio.
     """
 
-    path: tuple[tuple[float, float, float], ...]
+    clean: Tensor
+    noise: Tensor
+    recording: Recording
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Talkers in a room; the same scene gives the same recording, bit for bit on one machine.
+
+    The level of all noises together is set by `snr_db`: the mean power of the talkers with their reverberation, over
+    all microphones and over the samples at which someone speaks, over the mean power of the noise.
+
+    Args:
+        duration: [s].
+        room: What the talkers are heard through.
+        trajectories: How they move.
+        voices: What they sound like.
+        turns: Who speaks when.
+        num_talkers: Number of talkers.
+        array: Name of an array that ships with probtrack, or an array file.
+        directivity: A talker is louder in front, or equally loud in all directions.
+        snr_db: Signal-to-noise ratio over speech [dB].
+        noises: Noises, by their levels relative to each other; none for a clean recording.
+        faults: Of the microphones.
+        seed: Of everything drawn.
+        fs: Sampling rate [Hz].
+    """
+
     duration: float
-    room: tuple[float, float, float] = (3.5, 3.1, 2.2)
-    t60: float = 0.27
-    snr_db: float = 20.0
-    seed: int = 0
-    speech: str | None = None
+    room: Room
+    trajectories: Trajectories
+    voices: Voices
+    turns: Turns = field(default_factory=TurnTaking)
+    num_talkers: int = 1
     array: str = "lehmann2007"
+    directivity: Literal["speech", "omnidirectional"] = "speech"
+    snr_db: float = 20.0
+    noises: tuple[Noise, ...] = (WhiteNoise(),)
+    faults: Faults = field(default_factory=Faults)
+    seed: int = 0
     fs: int = 16000
-    spacing: float = 0.05
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.snr_db):
             raise InputError(f"scene: snr_db must be finite, got {self.snr_db}")
-        if not (math.isfinite(self.duration) and self.duration * self.fs >= FRAME):
-            raise InputError(f"scene: duration must be at least {FRAME} samples, got {self.duration} s")
-
-    @classmethod
-    def from_yaml(cls, path: str | Path) -> "Scene":
-        """Read the `scene.yaml` of a saved scene; an array or speech file is found from its folder too."""
-        try:
-            content = yaml.safe_load(Path(path).read_text())
-            for name in ("array", "speech"):
-                beside = Path(path).parent / str(content.get(name))
-                if beside.is_file():
-                    content[name] = str(beside)
-            content["path"] = tuple(tuple(point) for point in content["path"])
-            content["room"] = tuple(content["room"])
-            return cls(**content)
-        except OSError as error:
-            raise InputError(f"{path}: cannot read scene: {error.strerror}") from None
-        except (yaml.YAMLError, AttributeError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: not a scene: {' '.join(str(error).split())}") from None
+        if not FRAME <= self.duration <= _LONGEST:
+            raise InputError(f"scene: duration must be {FRAME} to {_LONGEST:g} s, got {self.duration}")
+        if self.directivity not in ("speech", "omnidirectional"):
+            raise InputError(f"scene: directivity must be speech or omnidirectional, got {self.directivity!r}")
+        check_int(self.num_talkers, "scene: num_talkers", low=1)
+        check_int(self.seed, "scene: seed", low=0)
+        check_int(self.fs, "scene: fs", low=8000)
 
     def load_array(self) -> MicrophoneArray:
-        """Return the microphones of the scene."""
+        """Return the microphones as they are said to be."""
         array = MicrophoneArray.from_yaml(shipped_arrays().get(self.array, Path(self.array)))
         if array.axes != 3:
             raise InputError(f"{self.array}: a room needs microphones in three dimensions, got {array.axes}")
-        return array
+        written = [[round(x, 6) for x in row] for row in array.positions.tolist()]  # as its file will say them
+        return MicrophoneArray(written, array.name)
 
-    def simulate(self) -> Recording:
-        """Return the recording, scaled to a peak of 0.9, and its truth.
+    def motion(self) -> Motion:
+        """Return the motion of the talkers, T = duration * fs and batch (K,)."""
+        return Motion(*(column[:, 0] for column in self.motions([self.seed], self.fs)))
+
+    def motions(self, seeds: Sequence[int], rate: float) -> Motion:
+        """Return the motions of the talkers with each of `seeds` (R,) for the scene's, at `rate` [Hz], batch (R, K)."""
+        return self.trajectories.draw(
+            [_own_seed(seed, "motion") for seed in seeds],
+            num_talkers=self.num_talkers,
+            duration=self.duration,
+            rate=rate,
+            region=self.room.region,
+            microphones=self.load_array().positions,
+        )
+
+    def listen(self, cache: ResponseCache | None = None) -> Heard:
+        """Work out what the microphones hear, noise apart.
+
+        Args:
+            cache: Where the responses of rooms are kept; None to keep none.
 
         Raises:
-            ImportError: without pyroomacoustics, unless `t60` is 0.
-            InputError: for a path or microphone outside the room, or a speech file that cannot be used.
+            ImportError: without pyroomacoustics, for a simulated room with reverberation.
+            InputError: for what cannot be: a talker outside the room, no speech to be found, ...
         """
-        generator = torch.Generator().manual_seed(self.seed)
-        if self.speech is None:
-            speech = synthesise_speech(self.duration, self.fs, generator=generator)
-        else:
-            speech = load_speech(self.speech, self.fs, self.duration)
         array = self.load_array()
-        positions, velocities, heading = smooth_path(self.path, self.duration, self.fs)
-        room = ShoeboxRoom(self.room, self.t60)
-        audio = room.render(speech.samples, Motion(positions, velocities, heading, heading), array, self.fs)
-        audio = add_noise(audio, self.snr_db, speech.active, generator=generator)
-        centre = torch.arange(FRAME // 2, audio.shape[-1] - FRAME // 2 + 1, HOP)
-        place = positions[centre]
-        angle = azimuth(place, array.centre)
-        truth = Truth(centre.double() / self.fs, place, angle, heading[centre], speech.active[centre])
-        return Recording(audio * (_PEAK / audio.abs().max()), self.fs, truth)
+        true_array = self.faults.true_array(array, self._generator("faults"), self.room.region)
+        motion = self.motion()
+        schedule = self.turns.draw(self.num_talkers, self.duration, self._generator("turns"))
+        speech = self.voices.speak(schedule, duration=self.duration, fs=self.fs, seed=self._seed("voices"))
+        directivity = SPEECH if self.directivity == "speech" else None
+        clean = torch.zeros(array.num_microphones, motion.position.shape[0])
+        for k, one in enumerate(speech):
+            clean += self.room.render(
+                one.samples, motion.talker(k), true_array, self.fs, directivity=directivity, cache=cache
+            )
+        noise = mixed(self.noises, self.room, true_array, clean.shape[-1], self.fs, self._generator("noise"), cache)
+        truth = Truth.of(motion, speech, array.centre, self.fs)
+        rest = Recording(clean[:, :0], self.fs, array, true_array, truth, speech)
+        return Heard(clean, noise, rest)
 
-    def save(self, folder: str | Path) -> Recording:
-        """Write `audio.wav` (16 bit), `array.yaml`, `truth.csv` and `scene.yaml`; return the recording."""
-        recording, folder = self.simulate(), Path(folder)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            pcm = (recording.audio.T * 32767).round().to(torch.int16).numpy()
-            soundfile.write(str(folder / "audio.wav"), pcm, self.fs, subtype="PCM_16")
-            self.load_array().to_yaml(folder / "array.yaml", ShoeboxRoom(self.room, self.t60).region)
-            recording.truth.save(folder / "truth.csv")
-            (folder / "scene.yaml").write_text(yaml.safe_dump(self._content(), sort_keys=False))
-        except OSError as error:
-            raise InputError(f"{folder}: cannot write scene: {error.strerror}") from None
-        return recording
+    def record(self, heard: Heard) -> Recording:
+        """Return the recording of what was heard, with the noise at `snr_db`, faults, and a peak of 0.9."""
+        active = torch.stack([one.active for one in heard.recording.speech]).any(0)
+        audio = heard.clean
+        if self.noises:
+            audio = audio + at_snr(heard.clean, heard.noise, self.snr_db, active)
+        audio = self.faults.apply(audio, self._generator("faults"))
+        peak = float(audio.abs().max())
+        if not math.isfinite(peak):
+            raise InputError("scene: the recording is not finite; is a level too high?")
+        return heard.recording._replace(audio=audio * (_PEAK / peak) if peak > 0 else audio)
 
-    def _content(self) -> dict[str, Any]:
-        content = dataclasses.asdict(self) | {"array": "array.yaml"}
-        content["path"] = [list(point) for point in self.path]
-        content["room"] = list(self.room)
-        return content
+    def simulate(self, cache: ResponseCache | None = None) -> Recording:
+        """Return the recording and its truth; see `listen` for what can be wrong."""
+        return self.record(self.listen(cache))
 
+    def _seed(self, purpose: str) -> int:
+        return _own_seed(self.seed, purpose)
 
-def demo_scene(seed: int = 0, speech: str | None = None) -> Scene:
-    """Return a walk of 8 s among the eight microphones of Lehmann & Johansson 2007, at their height.
-
-    The room is theirs (3.5 x 3.1 x 2.2 m, T60 0.27 s), at 20 dB. Their Figure 3 shows one bent line across the
-    array, walked in 7.8 s: so is this one, 2.2 m long; the talker pauses at least twice on the way.
-    """
-    way = ((0.85, 0.95), (1.55, 1.25), (2.1, 1.7), (2.45, 2.3))
-    return Scene(path=tuple((x, y, 1.51) for x, y in way), duration=8.0, seed=seed, speech=speech)
+    def _generator(self, purpose: str) -> torch.Generator:
+        return torch.Generator().manual_seed(self._seed(purpose))
 
 
-def add_noise(audio: Tensor, snr_db: float, speech: Tensor | None = None, *, generator: torch.Generator) -> Tensor:
-    """Return `audio` (M, S) with white Gaussian noise, of the same power at each microphone.
-
-    Args:
-        audio: What the microphones hear of the talker, reverberation included.
-        snr_db: Ratio of the mean power of `audio`, over all microphones and over the samples where
-            `speech` holds, to that of the noise [dB]. Pauses do not count.
-        speech: (S,) bool; all samples by default.
-        generator: Draws the noise.
-    """
-    voiced = audio if speech is None else audio[:, speech]
-    if voiced.numel() == 0:
-        raise InputError("speech must hold somewhere, or the signal-to-noise ratio has no meaning")
-    scale = voiced.double().square().mean().sqrt() * 10 ** (-snr_db / 20)
-    noise = torch.randn(audio.shape, generator=generator, dtype=torch.float64)
-    return (audio + scale * noise).to(audio.dtype)
+def _own_seed(seed: int, purpose: str) -> int:
+    """Return a seed of its own for each purpose, so that a change of one leaves the others as they are."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose),))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2))

@@ -8,9 +8,11 @@ from probtrack._files import check_suffix
 
 COLUMNS = (
     "time", "track", "x", "y", "z", "std_x", "std_y", "std_z", "azimuth", "std_azimuth", "heading", "speech", "ess",
-    "lost",
+    "lost", "vx", "vy", "vz", "body",
 )  # fmt: skip
 """Columns of a table in their order [s, m, rad]; a file has those that are known, and `time` always.
+
+The last four are of truth: the velocity of the mouth, and where the body faces while the head (`heading`) may turn.
 
 The probabilities of the motion models of a track that switches follow as mode_0, mode_1, and so on.
 """

@@ -52,7 +52,31 @@ def read_track(path: str | Path) -> TrackTable:
         InputError: for a file that cannot be read, has no `time`, no position and no azimuth, cells that are not
             numbers, a column twice, times that do not increase, no rows, or more than one track.
     """
-    path = Path(path)
+    table = _read(Path(path))
+    names = _numbers(table)
+    if len(names) > 1:
+        raise InputError(f"{path}: holds tracks {', '.join(f'{name:g}' for name in names)}, expected one")
+    return _in_order(table)
+
+
+def read_tracks(path: str | Path) -> list[TrackTable]:
+    """Read all tracks of a file, such as the truth of several talkers, in the order of their numbers.
+
+    Raises:
+        InputError: as `read_track`, and for a row without a track number among several tracks.
+    """
+    table = _read(Path(path))
+    names = _numbers(table)
+    if len(names) <= 1:
+        return [_in_order(table)]
+    number = table.columns["track"]
+    if number.isnan().any():
+        raise InputError(f"{path}: holds several tracks: every row needs a track number")
+    rows = [number == name for name in names]
+    return [_in_order(TrackTable(table.path, {n: c[own] for n, c in table.columns.items()})) for own in rows]
+
+
+def _read(path: Path) -> TrackTable:
     kind = kind_of(path)
     try:
         columns = _READERS[kind](path)
@@ -67,12 +91,18 @@ def read_track(path: str | Path) -> TrackTable:
         raise InputError(f"{path}: the track file has no rows")
     if not columns["time"].isfinite().all():
         raise InputError(f"{path}: every row needs a time")
-    names = [name for name in columns.get("track", torch.zeros(1)).unique().tolist() if not math.isnan(name)]
-    if len(names) > 1:
-        raise InputError(f"{path}: holds tracks {', '.join(f'{name:g}' for name in names)}, expected one")
-    if not (columns["time"].diff() > 0).all():
-        raise InputError(f"{path}: times must increase from row to row")
     return TrackTable(path, columns)
+
+
+def _numbers(table: TrackTable) -> list[float]:
+    numbers: list[float] = table.columns.get("track", torch.zeros(1)).unique().tolist()
+    return [number for number in numbers if not math.isnan(number)]
+
+
+def _in_order(table: TrackTable) -> TrackTable:
+    if not (table.time.diff() > 0).all():
+        raise InputError(f"{table.path}: times must increase from row to row")
+    return table
 
 
 def _read_csv(path: Path) -> dict[str, Tensor]:

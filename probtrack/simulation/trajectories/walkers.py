@@ -118,7 +118,7 @@ def step(walkers: Walkers, unit: Tensor, habits: Habits, surroundings: Surroundi
     wanted = (intended * ahead).sum(-1).clamp(0, habits.max_speed)
     speed = (walkers.velocity * ahead).sum(-1)
     braking = min(_BRAKING, habits.relaxation)
-    time = torch.where(wanted < speed, braking, habits.relaxation)
+    time = torch.where(wanted < speed, wanted.new_tensor(braking), wanted.new_tensor(habits.relaxation))
     speed = torch.lerp(wanted, speed, torch.exp(-STEP / time))
     velocity = admissible(speed[..., None] * ahead, obstacles, STEP)
     share = -math.expm1(-STEP / _HEAD_LAG)
@@ -224,7 +224,8 @@ def _goal(place: Tensor, unit: Tensor, surroundings: Surroundings) -> Tensor:
 
 
 def _patience(place: Tensor, goal: Tensor, habits: Habits) -> Tensor:
-    return 2 * torch.linalg.vector_norm(goal - place, dim=-1) / habits.speed + _PATIENCE
+    distance: Tensor = torch.linalg.vector_norm(goal - place, dim=-1)
+    return 2 * distance / habits.speed + _PATIENCE
 
 
 def _exponential(unit: Tensor, mean: float) -> Tensor:

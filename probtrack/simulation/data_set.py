@@ -1,0 +1,202 @@
+"""Many scenes on disk: made by several processes, and gone on with where a run stopped."""
+
+import csv
+import dataclasses
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+
+from probtrack._checks import check_int
+from probtrack._threads import one_thread
+from probtrack.errors import InputError
+from probtrack.simulation.description import described, from_description, read_yaml
+from probtrack.simulation.rooms import ResponseCache
+from probtrack.simulation.scene_folder import save_scene
+from probtrack.simulation.scenes import Scene
+
+CONFIGURATION, MANIFEST = "dataset.yaml", "manifest.csv"
+"""Files of a data set, beside its scene folders."""
+
+_COLUMNS = ("folder", "scene", "template", "seed", "snr_db", "num_talkers", "duration")
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Scenes after templates, each at one or several signal-to-noise ratios.
+
+    Scene i follows template i modulo their number, with a seed of its own that `seed` and i determine: data sets of
+    different seeds have nothing in common. At several ratios a scene is the same but for the level of its noise.
+
+    Args:
+        scenes: Templates; their own seeds are not heeded.
+        count: Number of scenes.
+        snr_db: Signal-to-noise ratios, each of which every scene is recorded at [dB]; None for the templates' own.
+        seed: Of all scenes.
+    """
+
+    scenes: tuple[Scene, ...]
+    count: int
+    snr_db: tuple[float, ...] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.scenes:
+            raise InputError("data set: scenes must hold at least one template")
+        check_int(self.count, "data set: count", low=1)
+        check_int(self.seed, "data set: seed", low=0)
+        if self.snr_db is not None and (not self.snr_db or len(set(self.snr_db)) < len(self.snr_db)):
+            raise InputError(f"data set: snr_db must be different ratios, at least one, got {list(self.snr_db)}")
+
+    def recordings(self, index: int) -> dict[str, Scene]:
+        """Return the recordings of scene `index`: the name of the folder of each, and its scene."""
+        seed = int(np.random.SeedSequence(self.seed, spawn_key=(index,)).generate_state(1)[0])
+        scene = dataclasses.replace(self.scenes[index % len(self.scenes)], seed=seed)
+        name = f"{index:0{len(str(self.count - 1))}d}"
+        if self.snr_db is None:
+            return {name: scene}
+        return {f"{name}_{snr:+g}dB": dataclasses.replace(scene, snr_db=snr) for snr in self.snr_db}
+
+
+def load_data_set(path: str | Path) -> DataSet:
+    """Return the data set that a YAML file describes."""
+    return from_description(DataSet, read_yaml(path, "data set file"), path)
+
+
+def missing_scenes(data_set: DataSet, folder: Path) -> list[int]:
+    """Return which scenes of the data set in `folder` are not complete; empty when all are there."""
+    return [i for i in range(data_set.count) if not all((folder / name).exists() for name in data_set.recordings(i))]
+
+
+def make_data_set(data_set: DataSet, folder: str | Path, cache: Path | None, workers: int = 1) -> Iterator[int]:
+    """Write what is missing of a data set, and yield the number of each scene as it is finished.
+
+    A run that was stopped is gone on with: finished scenes stay as they are. The same files come out whatever the
+    number of workers.
+
+    Args:
+        data_set: What to make.
+        folder: Where; made if it is not there.
+        cache: Folder of responses that the workers share; None to keep none.
+        workers: Processes, each on one thread.
+
+    Raises:
+        InputError: for a folder with another data set or something else in it, a scene that cannot be, or a disk
+            that is full. What was finished stays valid.
+    """
+    folder = Path(folder)
+    check_int(workers, "workers", low=1)
+    _begin(data_set, folder)
+    todo = missing_scenes(data_set, folder)
+    try:
+        if workers == 1 or len(todo) <= 1:
+            for index in todo:
+                with one_thread():
+                    made = _make(data_set, folder, cache, index)
+                yield made
+        else:
+            yield from _in_parallel(data_set, folder, cache, todo, min(workers, len(todo)))
+    finally:
+        _write_manifest(data_set, folder)
+
+
+def read_manifest(folder: str | Path) -> list[dict[str, str]]:
+    """Return the rows of a data set's manifest, one a recording that is complete."""
+    path = Path(folder) / MANIFEST
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the manifest of a data set: {error.strerror}") from None
+    if not rows or set(_COLUMNS) - rows[0].keys():
+        raise InputError(f"{path}: not the manifest of a data set with columns {', '.join(_COLUMNS)}, or an empty one")
+    return rows
+
+
+def _begin(data_set: DataSet, folder: Path) -> None:
+    """Make the folder, or see that it holds this very data set."""
+    path, wanted = folder / CONFIGURATION, described(data_set)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            difference = _difference(read_yaml(path, "data set file"), wanted)
+            if difference:
+                raise InputError(f"{folder}: holds another data set ({difference}): name another folder")
+        elif any(folder.iterdir()):
+            raise InputError(f"{folder}: is not empty and holds no data set: name another folder")
+        else:
+            path.write_text(yaml.safe_dump(wanted, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write the data set: {error.strerror}") from None
+
+
+def _difference(there: object, here: object, name: str = "") -> str:
+    """Return the first place where two descriptions differ, in words; empty where they are the same."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in [*there, *(key for key in here if key not in there)]:
+            found = _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))
+            if found:
+                return found
+        return ""
+    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        pairs = enumerate(zip(there, here, strict=True))
+        return next((found for i, (a, b) in pairs if (found := _difference(a, b, f"{name}[{i}]"))), "")
+    return "" if there == here else f"{name} is {there!r} there and {here!r} here"
+
+
+def _make(data_set: DataSet, folder: Path, cache: Path | None, index: int) -> int:
+    """Make what is missing of one scene: what is heard is worked out once for all ratios."""
+    todo = {name: scene for name, scene in data_set.recordings(index).items() if not (folder / name).exists()}
+    try:
+        heard = next(iter(todo.values())).listen(ResponseCache(cache) if cache is not None else None)
+        for name, scene in todo.items():
+            save_scene(folder / name, scene, scene.record(heard))
+    except InputError as error:
+        raise InputError(f"scene {index}: {error}") from None
+    return index
+
+
+def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list[int], workers: int) -> Iterator[int]:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_become_worker) as pool:
+        made: list[Future[int]] = [pool.submit(_make, data_set, folder, cache, index) for index in todo]
+        try:
+            for future in as_completed(made):
+                yield future.result()
+        except BrokenProcessPool:
+            raise InputError(
+                f"{folder}: a worker was killed, perhaps for want of memory: start again with fewer --workers to go on"
+            ) from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _become_worker() -> None:
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to deal with
+
+
+def _write_manifest(data_set: DataSet, folder: Path) -> None:
+    path = folder / MANIFEST
+    unfinished = path.with_name(f".{MANIFEST}.{os.getpid()}.tmp")
+    try:
+        with unfinished.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_COLUMNS)
+            for index in range(data_set.count):
+                for name, scene in data_set.recordings(index).items():
+                    if (folder / name).exists():
+                        template = index % len(data_set.scenes)
+                        row = (scene.seed, scene.snr_db, scene.num_talkers, scene.duration)
+                        writer.writerow([name, index, template, *row])
+        unfinished.replace(path)
+    except OSError as error:
+        unfinished.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot write: {error.strerror}") from None
