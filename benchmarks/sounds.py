@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, shipped_arrays
-from probtrack.simulation import synthesise_speech
+from probtrack.simulation.voices import SyntheticVoice, SyntheticVoices, TurnTaking
 
 FS = 16_000
 ARRAY = shipped_arrays()["lehmann2007"]
@@ -24,7 +24,9 @@ def array() -> MicrophoneArray:
 def talker(seconds: float, seed: int = 0) -> Tensor:
     """Return (8, seconds * FS) samples: speech with each microphone's delay in whole samples, and noise."""
     generator = torch.Generator().manual_seed(seed)
-    speech = synthesise_speech(seconds, FS, generator=generator).samples
+    turns = TurnTaking().draw(1, seconds, generator)
+    voices = SyntheticVoices((SyntheticVoice(),))
+    speech = voices.speak(turns, duration=seconds, fs=FS, seed=seed)[0].samples
     distances = (array().positions - torch.tensor(PLACE)).norm(dim=-1)
     delays = (distances / SPEED_OF_SOUND * FS).round().long().tolist()
     heard = torch.stack([speech.roll(delay) for delay in delays])

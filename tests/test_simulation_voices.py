@@ -11,7 +11,7 @@ FS = 16000
 MAN = SyntheticVoices((SyntheticVoice(),))
 
 
-def speech(seed=0, duration=20.0, voices=MAN, fs=FS):
+def speech(seed=0, duration=10.0, voices=MAN, fs=FS):
     turns = TurnTaking().draw(1, duration, torch.Generator().manual_seed(seed))
     return voices.speak(turns, duration=duration, fs=fs, seed=seed)[0]
 
@@ -69,7 +69,7 @@ def test_silent_in_pauses_and_at_its_level_in_between():
 @pytest.mark.parametrize("rate", [3.0, 5.0])
 def test_syllables_follow_each_other_at_their_rate(rate):
     voices = SyntheticVoices((SyntheticVoice(rate=rate),))
-    x = voices.speak([[(0.0, 20.0)]], duration=20.0, fs=FS, seed=3)[0].samples
+    x = voices.speak([[(0.0, 16.0)]], duration=16.0, fs=FS, seed=3)[0].samples
     envelope = torch.nn.functional.avg_pool1d(x.square()[None], FS // 50, FS // 50)[0].sqrt()
     power = torch.fft.rfft((envelope - envelope.mean()) * torch.hann_window(len(envelope))).abs().square()
     frequency = torch.arange(len(power)) * 50 / len(envelope)
@@ -128,13 +128,13 @@ def test_any_sampling_rate_says_the_same(fs):
     voices = SyntheticVoices((SyntheticVoice(breath=0.7),))
     bands, vowels = [], []
     for rate in (FS, fs):
-        x, _, score = speech(8, 6.0, voices, rate)
-        assert len(x) == 6 * rate
-        power = torch.fft.rfft(x).abs().square()[6 * 200 : 6 * 1400].reshape(12, -1).sum(-1)
+        x, _, score = speech(8, 5.0, voices, rate)
+        assert len(x) == 5 * rate
+        power = torch.fft.rfft(x).abs().square()[5 * 200 : 5 * 1400].reshape(12, -1).sum(-1)
         bands.append(10 * torch.log10(power / power.sum()))
-        vowels.append(score.vowel[torch.searchsorted(score.time, torch.arange(0.1, 5.9, 0.05))])
+        vowels.append(score.vowel[torch.searchsorted(score.time, torch.arange(0.1, 4.9, 0.05))])
     # at 16 kHz, images of the resonators stand for the formants that are missing above: 3 dB at 2.5 kHz
-    assert (bands[0] - bands[1]).abs().mean() < 0.7
+    assert (bands[0] - bands[1]).abs().median() < 0.6
     assert (vowels[0] == vowels[1]).double().mean() > 0.93  # but where one begins or ends
 
 

@@ -11,13 +11,19 @@ import torch
 from probtrack.audio import EnergyVoiceActivity, ShortTimeSpectrum, SileroVoiceActivity
 from probtrack.audio.frames import Frames
 from probtrack.errors import InputError
-from probtrack.simulation import synthesise_speech
+from probtrack.simulation.voices import SyntheticVoice, SyntheticVoices, TurnTaking
 
 FS, L, H = 16000, 512, 256
 
 
 def noise(seconds, *batch, level=0.01):
     return level * torch.randn(*batch, 3, round(seconds * FS))
+
+
+def talk(seconds, seed):
+    """One synthetic man, in turns of people."""
+    turns = TurnTaking().draw(1, seconds, torch.Generator().manual_seed(seed))
+    return SyntheticVoices((SyntheticVoice(),)).speak(turns, duration=seconds, fs=FS, seed=seed)[0]
 
 
 def heard(samples, detector=None):
@@ -100,7 +106,7 @@ def test_a_click_of_a_sample_stays_quiet():
 
 
 def test_speech_over_noise_is_found():
-    x, active = synthesise_speech(12.0, FS, generator=torch.Generator().manual_seed(1))
+    x, active, _ = talk(12.0, 1)
     alpha = heard(x + noise(12.0, level=0.0007))
     share = active.double().unfold(0, L, H).mean(-1)
     assert alpha[share == 1].mean() > 0.8
@@ -233,7 +239,7 @@ def silero():
 
 
 def test_silero_hears_speech_over_noise(silero):
-    x, active = synthesise_speech(8.0, FS, generator=torch.Generator().manual_seed(2))
+    x, active, _ = talk(8.0, 2)
     alpha = heard((x + noise(8.0, level=0.0007))[:1], silero)
     share = active.double().unfold(0, L, H).mean(-1)
     assert ((alpha >= 0) & (alpha <= 1)).all()
@@ -241,7 +247,7 @@ def test_silero_hears_speech_over_noise(silero):
 
 
 def test_silero_stream_in_any_cuts_is_the_whole(silero):
-    x = synthesise_speech(3.0, FS, generator=torch.Generator().manual_seed(2)).samples
+    x = talk(3.0, 2).samples
     frames = ShortTimeSpectrum()(torch.stack([x, 0.5 * x + 0.01 * torch.randn(len(x))])[:, None])
     whole = silero(frames)[0]
     assert whole.shape == (186, 2)
@@ -252,7 +258,7 @@ def test_silero_stream_in_any_cuts_is_the_whole(silero):
 
 @pytest.mark.parametrize("hop", [256, 512, 160])
 def test_silero_frame_has_the_last_chunk_that_ended_by_its_end(silero, hop):
-    x = synthesise_speech(2.0, FS, generator=torch.Generator().manual_seed(2)).samples.float()
+    x = talk(2.0, 2).samples.float()
     network, expected = silero.network, [0.0]
     memory, context = torch.zeros(2, 1, 128).float(), torch.zeros(1, 64).float()
     for chunk in x.split(512)[: len(x) // 512]:

@@ -1,5 +1,7 @@
 """The score of a synthetic voice is the truth: formants, pitch and activity measured in running speech."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from probtrack.simulation.voices import VOWELS, SyntheticVoice, SyntheticVoices
 FS = 16000
 
 
+@lru_cache
 def talk(pitch=115.0, formant_scale=1.0, seconds=12.0, fs=FS, seed=2):
     voices = SyntheticVoices((SyntheticVoice(pitch=pitch, formant_scale=formant_scale),))
     return voices.speak([[(0.2, 0.45 * seconds), (0.55 * seconds, seconds - 0.3)]], duration=seconds, fs=fs, seed=seed)[

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 
 import torch
-import torchaudio.functional as F
 from torch import Tensor
 
 HOP = 0.005
@@ -43,8 +42,19 @@ def glottal_pulses(pitch: Tensor, fs: int) -> Tensor:
     rise = torch.sin(math.pi * u / opening) / (2 * opening)
     fall = -torch.sin(math.pi * (u - opening) / (2 * closing)) / (2 * closing)
     slope = torch.where(u < opening, rise, torch.where(u < opening + closing, fall, torch.zeros(())))
-    pulses: Tensor = F.resample(slope, _OVERSAMPLING * fs, fs, lowpass_filter_width=32)[: len(pitch)]
+    pulses = _decimate(slope)
     return pulses / pulses.square().mean().sqrt()
+
+
+def _decimate(fine: Tensor) -> Tensor:
+    """Return every fourth sample of what is left below half the lower rate; up to 0.95 of that nothing is lost."""
+    count = len(fine) // _OVERSAMPLING
+    size = (count // 512 + 2) * 512  # what rings beyond the ends wraps around into silence
+    bins = torch.linspace(0, 1, size // 2 + 1, dtype=fine.dtype)
+    taper = torch.cos((bins - 0.95).clamp(min=0) * (math.pi / 2 / 0.05)).square()
+    spectrum = torch.fft.rfft(fine, _OVERSAMPLING * size)[: size // 2 + 1] * taper
+    coarse: Tensor = torch.fft.irfft(spectrum, size)[:count]
+    return coarse / _OVERSAMPLING
 
 
 def resonances(centres: Tensor, bandwidths: Tensor, frequency: Tensor, fs: int) -> Tensor:
