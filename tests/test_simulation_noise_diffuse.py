@@ -82,6 +82,18 @@ def test_coherence_of_wide_arrays_follows_its_fast_turns():
     assert abs((error.real * weight).sum() / weight.square().sum()) < 0.05
 
 
+def test_mixing_has_the_coherence_between_its_knots_too():
+    wide = MicrophoneArray([[0.5, 0.5, 1.0], [3.2, 1.9, 1.0], [0.6, 0.5, 1.1]])
+    bins, noise = 5001, DiffuseNoise()
+    each = torch.eye(3, dtype=torch.complex128)[:, :, None].expand(3, 3, bins)
+    mixing = torch.stack([noise._mixed(one, wide, 2000.0) for one in each], -1).real  # (M, F, sources)
+    mixing = mixing.transpose(0, 1)
+    power = mixing @ mixing.mT
+    torch.testing.assert_close(torch.diagonal(power, dim1=1, dim2=2), torch.ones(bins, 3))
+    expected = noise.coherence(wide, torch.linspace(0, 2000, bins))
+    torch.testing.assert_close(power, expected, rtol=0, atol=0.005)
+
+
 def test_power_and_spectrum_are_those_of_each_microphone():
     audio = DiffuseNoise(spectrum="pink").draw(ROOM, array(), 4000 * FRAME, FS, generator())
     cross, count = cross_spectra(audio)

@@ -33,7 +33,7 @@ def hann(reach):
 def test_each_sample_goes_through_the_smoothed_response(lead, fs):
     signal, channels, responses = torch.randn(70), torch.randn(70, 2), torch.randn(4, 2, 3, 11)
     signal[20:30] = 0
-    place = torch.tensor([2] * 25 + [0] * 3 + [2] * 9 + [3, 1, 3, 1, 0] + [1] * 28)
+    place = torch.tensor([1] + [2] * 24 + [0] * 3 + [2] * 9 + [3, 1, 3, 1, 0] + [1] * 27 + [2])
     audio = render_places(signal, place, lambda p: responses[p], channels, fade=8 / fs, fs=fs, lead=lead)
     torch.testing.assert_close(audio, oracle(signal, place, responses, channels, hann(4), lead))
 
