@@ -63,10 +63,9 @@ def push(obstacles: Obstacles, strength: Tensor, reach: Tensor, aside: Tensor) -
         aside: (C,), the angle by which it is turned to the walker's right [rad], so that two who meet head-on pass.
     """
     size = strength * torch.exp(-obstacles.gap / reach)
-    towards = torch.stack([size * torch.cos(aside), size * torch.sin(aside)], -1)
+    back, right = size * torch.cos(aside), size * torch.sin(aside)
     x, y = obstacles.normal.unbind(-1)
-    straight, right = -towards[..., 0], towards[..., 1]
-    return torch.stack([straight * x + right * y, straight * y - right * x], -1).sum(-2)
+    return torch.stack([right * y - back * x, -right * x - back * y], -1).sum(-2)
 
 
 def admissible(velocity: Tensor, obstacles: Obstacles, step: float) -> Tensor:
@@ -79,6 +78,8 @@ def admissible(velocity: Tensor, obstacles: Obstacles, step: float) -> Tensor:
     limit = torch.minimum((2 * _DECELERATION * gap).sqrt(), gap / step)
     for _ in range(_PROJECTIONS):
         excess, worst = ((velocity[..., None, :] * normal).sum(-1) - limit).max(-1)
+        if not (excess > 0).any():
+            return velocity
         worst = worst[..., None, None].expand(*worst.shape, 1, 2)
         velocity = velocity - excess.clamp(min=0)[..., None] * normal.gather(-2, worst)[..., 0, :]
     # three projections leave little, but this is the guarantee: standing still is always allowed

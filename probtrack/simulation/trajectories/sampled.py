@@ -48,11 +48,12 @@ def sample_paths(
         raise InputError("start must be inside the region")
     transition = dynamics.transition(dt)
     state = dynamics.from_kinematics(start)
-    shape = (num_steps, start.position.shape[1], dynamics.noise_dim)
+    # rounded up: torch draws normal numbers in sixteens, and the last few otherwise, so that a longer way would differ
+    shape = (math.ceil(num_steps / 16) * 16, start.position.shape[1], dynamics.noise_dim)
     generators = [torch.Generator().manual_seed(seed) for seed in seeds]
     noise = torch.stack([torch.randn(shape, generator=g, dtype=torch.float64) for g in generators], 1).to(state)
     known = [dynamics.kinematics(state)]
-    for numbers in noise.unbind(0):
+    for numbers in noise[:num_steps].unbind(0):
         state = _reflected(dynamics, transition(state, numbers), region)
         known.append(dynamics.kinematics(state))
     return Kinematics(

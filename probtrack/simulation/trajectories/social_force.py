@@ -11,8 +11,9 @@ from probtrack.errors import InputError
 from probtrack.geometry import Region
 from probtrack.simulation.motion import Motion
 from probtrack.simulation.trajectories.base import Trajectories
+from probtrack.simulation.trajectories.habits import NUM_UNIFORMS, Chances, Habits, Pushes, Surroundings
 from probtrack.simulation.trajectories.sampling import between, check_draw, finished, hermite, sample_times
-from probtrack.simulation.trajectories.walkers import NUM_UNIFORMS, STEP, Habits, Surroundings, first, step
+from probtrack.simulation.trajectories.walkers import STEP, first, step
 
 _CANDIDATES = 64  # places to begin at that are tried for each talker
 _HEAD_ROOM = 0.05  # m between a mouth and the floor or ceiling at least
@@ -128,11 +129,10 @@ class SocialForceWalk(Trajectories):
         shapes = (num_talkers, 2 + 2 * _CANDIDATES), (num_nodes, num_talkers, NUM_UNIFORMS)
         traits, numbers = _uniforms(seeds, *shapes)
         habits = self._habits(traits[..., 0])
-        state = first(_begin(traits[..., 2:], surroundings, self.apart), numbers[0], habits, surroundings)
-        nodes = [state]
-        for n in range(1, num_nodes):
-            state = step(state, numbers[n], habits, surroundings)
-            nodes.append(state)
+        pushes, chances = Pushes.of(num_talkers, habits, surroundings), Chances.of(numbers, habits, surroundings)
+        nodes = [first(_begin(traits[..., 2:], surroundings, self.apart), chances[0], habits)]
+        for happens in chances[1:]:
+            nodes.append(step(nodes[-1], happens, habits, surroundings, pushes))
         velocity = torch.stack([node.velocity for node in nodes])
         # The walker's places are the control points of a quadratic B-spline: the curve stays within their hull,
         # and goes through their midpoints with the velocities at the nodes.

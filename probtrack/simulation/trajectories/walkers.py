@@ -7,55 +7,19 @@ import torch
 from torch import Tensor
 
 from probtrack.geometry import wrap_angle
+from probtrack.simulation.trajectories.habits import Chances, Habits, Pushes, Surroundings
 from probtrack.simulation.trajectories.obstacles import Obstacles, admissible, circles, joined, others, push, walls
 
 STEP = 0.02
 """Time step of the walk [s]."""
 
-NUM_UNIFORMS = 8
-"""How many numbers, uniform in [0, 1), a talker uses in a step."""
-
-_BORDER = 3.0  # m/s^2, push of a wall or microphone on one who is as near as may be
 _BRAKING = 0.4  # s, in which one who is too fast slows down: half a metre from 1.3 m/s, about the arrival radius
 _TURN_EXPONENT = -0.8
 _STANDING_TURN = 3.0  # rad/s at most
 _TURN_GAIN = 3.0  # 1/s, turn rate asked for an error of one radian
 _TURN_LAG = 0.15  # s, in which the body takes up that rate
 _HEAD_LAG = 0.25  # s, of each of the two lags of the head
-_ASIDE = 0.5  # rad
 _PATIENCE = 5.0  # s beyond twice the time a goal takes, after which another is taken
-
-
-class Surroundings(NamedTuple):
-    """Where talkers walk: from `low` (2,) to `high` (2,), not within `keep_out` of `microphones` (M, 2) [m].
-
-    They look at `address` (2,) at times.
-    """
-
-    low: Tensor
-    high: Tensor
-    microphones: Tensor
-    keep_out: float
-    address: Tensor
-
-
-class Habits(NamedTuple):
-    """How talkers walk: the desired speed (runs, K) of each, and what `SocialForceWalk` says of all."""
-
-    speed: Tensor
-    max_speed: float
-    relaxation: float
-    arrival: float
-    apart: float
-    wall_range: float
-    talker_potential: float
-    talker_range: float
-    turn_rate: float
-    stop_probability: float
-    stop_duration: float
-    glance_probability: float
-    glance_duration: float
-    head_limit: float
 
 
 class Walkers(NamedTuple):
@@ -71,7 +35,7 @@ class Walkers(NamedTuple):
         goal: (..., 2) [m].
         patience: Time left to reach it [s].
         standing: Time left to stand [s].
-        look: What is looked at: 0 ahead, 1 the addressed point, 1 + j the j-th talker after this one.
+        look: What is looked at, as in `Chances`.
         looking: Time left to look there [s].
     """
 
@@ -88,15 +52,14 @@ class Walkers(NamedTuple):
     looking: Tensor
 
 
-def first(place: Tensor, unit: Tensor, habits: Habits, surroundings: Surroundings) -> Walkers:
+def first(place: Tensor, chances: Chances, habits: Habits) -> Walkers:
     """Return talkers who stand at `place` (..., 2), each facing its first goal and looking ahead."""
-    goal = _goal(place, unit, surroundings)
+    goal = _farther(place, chances.goal)
     zero = torch.zeros_like(habits.speed)
-    offset = goal - place
     return Walkers(
         place=place,
         velocity=torch.zeros_like(place),
-        body=torch.atan2(offset[..., 1], offset[..., 0]),
+        body=_direction(goal - place),
         turning=zero,
         leading=zero,
         head=zero,
@@ -104,15 +67,15 @@ def first(place: Tensor, unit: Tensor, habits: Habits, surroundings: Surrounding
         patience=_patience(place, goal, habits),
         standing=zero,
         look=zero.long(),
-        looking=_exponential(unit[..., 7], habits.glance_duration),
+        looking=chances.looking,
     )
 
 
-def step(walkers: Walkers, unit: Tensor, habits: Habits, surroundings: Surroundings) -> Walkers:
-    """Return the talkers one `STEP` later, driven by `unit` (..., NUM_UNIFORMS)."""
-    walkers = _look(_arrive(walkers, unit, habits, surroundings), unit, habits)
+def step(walkers: Walkers, chances: Chances, habits: Habits, surroundings: Surroundings, pushes: Pushes) -> Walkers:
+    """Return the talkers one `STEP` later."""
+    walkers = _look(_arrive(walkers, chances, habits), chances)
     obstacles = _obstacles(walkers.place, habits, surroundings)
-    target, intended = _intention(walkers, obstacles, habits, surroundings)
+    target, intended = _intention(walkers, push(obstacles, *pushes), habits, surroundings)
     body, turning = _turned(walkers, target[0], habits)
     ahead = torch.stack([body.cos(), body.sin()], -1)
     wanted = (intended * ahead).sum(-1).clamp(0, habits.max_speed)
@@ -134,30 +97,30 @@ def step(walkers: Walkers, unit: Tensor, habits: Habits, surroundings: Surroundi
     )
 
 
-def _arrive(walkers: Walkers, unit: Tensor, habits: Habits, surroundings: Surroundings) -> Walkers:
+def _arrive(walkers: Walkers, chances: Chances, habits: Habits) -> Walkers:
     """Return the talkers with new goals and times to stand where the old goal is reached, or given up."""
-    distance = torch.linalg.vector_norm(walkers.goal - walkers.place, dim=-1)
     walks = walkers.standing <= 0
-    late = walks & (walkers.patience <= 0)
-    reached = walks & (distance < habits.arrival)
-    stops = reached & (unit[..., 4] < habits.stop_probability)
-    goal = torch.where((reached | late)[..., None], _goal(walkers.place, unit, surroundings), walkers.goal)
-    patience = walkers.patience - STEP * walks
+    reached = walks & (torch.linalg.vector_norm(walkers.goal - walkers.place, dim=-1) < habits.arrival)
+    over = reached | (walks & (walkers.patience <= 0))
+    walkers = walkers._replace(patience=walkers.patience - STEP * walks, standing=walkers.standing - STEP)
+    if not over.any():
+        return walkers
+    goal = torch.where(over[..., None], _farther(walkers.place, chances.goal), walkers.goal)
     return walkers._replace(
         goal=goal,
-        patience=torch.where(reached | late, _patience(walkers.place, goal, habits), patience),
-        standing=torch.where(stops, _exponential(unit[..., 5], habits.stop_duration), walkers.standing - STEP),
+        patience=torch.where(over, _patience(walkers.place, goal, habits), walkers.patience),
+        standing=torch.where(reached & chances.stops, chances.standing, walkers.standing),
     )
 
 
-def _look(walkers: Walkers, unit: Tensor, habits: Habits) -> Walkers:
+def _look(walkers: Walkers, chances: Chances) -> Walkers:
     """Return the talkers with something new to look at where the time of the last look is over."""
     over = walkers.looking <= 0
-    away = unit[..., 6] / max(habits.glance_probability, 1e-12)  # of those that look away uniform in [0, 1)
-    which = 1 + (away * walkers.place.shape[-2]).floor().long()
+    if not over.any():
+        return walkers._replace(looking=walkers.looking - STEP)
     return walkers._replace(
-        look=torch.where(over, torch.where(away < 1, which, 0), walkers.look),
-        looking=torch.where(over, _exponential(unit[..., 7], habits.glance_duration), walkers.looking - STEP),
+        look=torch.where(over, chances.look, walkers.look),
+        looking=torch.where(over, chances.looking, walkers.looking - STEP),
     )
 
 
@@ -173,22 +136,13 @@ def _obstacles(place: Tensor, habits: Habits, surroundings: Surroundings) -> Obs
 
 
 def _intention(
-    walkers: Walkers, obstacles: Obstacles, habits: Habits, surroundings: Surroundings
+    walkers: Walkers, pushed: Tensor, habits: Habits, surroundings: Surroundings
 ) -> tuple[tuple[Tensor, Tensor], Tensor]:
     """Return where body and head want to face [rad], and the velocity that the talker intends (..., 2)."""
-    still = 4 + len(surroundings.microphones)
-    moving = obstacles.gap.shape[-1] - still
-    a, b = habits.talker_potential, habits.talker_range
-    # of two talkers the gap is half the distance beyond `apart`
-    kinds = [(_BORDER, habits.wall_range, 0.0)] * 4
-    kinds += [(_BORDER, habits.wall_range, _ASIDE)] * (still - 4)
-    kinds += [(a / b * math.exp(-habits.apart / b), b / 2, _ASIDE)] * moving
-    strength, reach, aside = walkers.place.new_tensor(kinds).unbind(-1)
     offset = walkers.goal - walkers.place
     way = offset / torch.linalg.vector_norm(offset, dim=-1, keepdim=True).clamp(min=1e-9)
-    intended = habits.speed[..., None] * way + habits.relaxation * push(obstacles, strength, reach, aside)
-    stands = walkers.standing > 0
-    looks = walkers.look > 0
+    intended = habits.speed[..., None] * way + habits.relaxation * pushed
+    stands, looks = walkers.standing > 0, walkers.look > 0
     watched = _direction(_watched(walkers, surroundings) - walkers.place)
     ahead = torch.where(stands, walkers.body, _direction(intended))
     body = torch.where(stands & looks, watched, ahead)
@@ -214,23 +168,16 @@ def _turned(walkers: Walkers, target: Tensor, habits: Habits) -> tuple[Tensor, T
     return walkers.body + STEP * turning, turning
 
 
-def _goal(place: Tensor, unit: Tensor, surroundings: Surroundings) -> Tensor:
-    """Return the farther from `place` of two uniform points: goals worth going to, also in a small room."""
-    s = surroundings
-    one, two = (s.low + (s.high - s.low) * unit[..., i : i + 2] for i in (0, 2))
-    nearer = torch.linalg.vector_norm(one - place, dim=-1) < torch.linalg.vector_norm(two - place, dim=-1)
-    farther: Tensor = torch.where(nearer[..., None], two, one)
-    return farther
+def _farther(place: Tensor, goals: Tensor) -> Tensor:
+    """Return the farther from `place` of two `goals` (..., 2, 2): worth going to, also in a small room."""
+    one, two = torch.linalg.vector_norm(goals - place[..., None, :], dim=-1).unbind(-1)
+    chosen: Tensor = torch.where((two > one)[..., None], goals[..., 1, :], goals[..., 0, :])
+    return chosen
 
 
 def _patience(place: Tensor, goal: Tensor, habits: Habits) -> Tensor:
     distance: Tensor = torch.linalg.vector_norm(goal - place, dim=-1)
     return 2 * distance / habits.speed + _PATIENCE
-
-
-def _exponential(unit: Tensor, mean: float) -> Tensor:
-    time: Tensor = -mean * torch.log1p(-unit)
-    return time
 
 
 def _direction(offset: Tensor) -> Tensor:
