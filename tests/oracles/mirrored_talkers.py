@@ -1,7 +1,7 @@
 """Sound in a rectangular room as a sum over mirrored talkers, one frequency at a time, in double precision.
 
-The talker and its mouth are mirrored in the walls, microphones stay where they are: J. B. Allen and D. A. Berkley, "Image
-method for efficiently simulating small-room acoustics", J. Acoust. Soc. Am. 65:943, 1979.
+The talker and its mouth are mirrored in the walls, microphones stay where they are: J. B. Allen and D. A. Berkley,
+"Image method for efficiently simulating small-room acoustics", J. Acoust. Soc. Am. 65:943, 1979.
 """
 
 import itertools

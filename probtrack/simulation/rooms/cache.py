@@ -87,8 +87,12 @@ class ResponseStore:
         try:
             with self._path(node).open("rb") as file:
                 return _unpacked(np.load(file, allow_pickle=False))
-        except (OSError, ValueError, EOFError):
+        except Exception:  # a damaged file makes numpy raise almost anything
             return None
+
+    def has(self, node: Node) -> bool:
+        """Return whether there is a file of a place's responses."""
+        return self._path(node).exists()
 
     def put(self, node: Node, responses: Tensor) -> Tensor:
         """Keep the responses of a place; returns them as `get` will, in the precision of the file.
