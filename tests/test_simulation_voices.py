@@ -6,6 +6,7 @@ import torch
 
 from probtrack.errors import InputError
 from probtrack.simulation.voices import VOWELS, SyntheticVoice, SyntheticVoices, TurnTaking, sustained_vowel
+from probtrack.simulation.voices.vocal_tract import friction
 
 FS = 16000
 MAN = SyntheticVoices((SyntheticVoice(),))
@@ -136,6 +137,19 @@ def test_any_sampling_rate_says_the_same(fs):
     # at 16 kHz, images of the resonators stand for the formants that are missing above: 3 dB at 2.5 kHz
     assert (bands[0] - bands[1]).abs().median() < 0.6
     assert (vowels[0] == vowels[1]).double().mean() > 0.93  # but where one begins or ends
+
+
+def test_utterances_begin_with_sound():
+    turns = [[(0.5 * k, 0.5 * k + 0.4) for k in range(24)]]
+    x = MAN.speak(turns, duration=12.0, fs=FS, seed=1)[0].samples.reshape(24, -1)
+    assert x[:, 320:800].square().mean(-1).sqrt().min() > 2e-4  # no closure of a plosive
+
+
+@pytest.mark.parametrize(("fs", "peak"), [(8000, 3200.0), (16000, 5500.0)])
+def test_hiss_lies_at_its_centre_or_as_high_as_the_rate_allows(fs, peak):
+    response = friction(torch.tensor([5500.0]), torch.tensor([500.0]), fs)[0].abs()
+    assert float(response.argmax()) * fs / 2 / (len(response) - 1) == pytest.approx(peak, abs=50)
+    assert response.square().mean() == pytest.approx(1.0)
 
 
 def test_no_click_where_utterances_begin_and_end():

@@ -26,13 +26,13 @@ def steady(score, reach=4):
     return (reach + ((vowel >= 0) & (vowel == vowel[:, :1])).all(-1).nonzero()[:, 0]).tolist()
 
 
-def formants(x, order=18):
-    """Oracle: the three lowest resonances [Hz] by linear prediction (autocorrelation method)."""
+def formants(x, order=18, count=3):
+    """Oracle: the lowest resonances [Hz] by linear prediction (autocorrelation method)."""
     x = np.append(0, x[1:] - 0.97 * x[:-1]) * np.hamming(len(x))
     r = np.correlate(x, x, "full")[len(x) - 1 :][: order + 1]
     roots = np.roots(np.append(1, -solve_toeplitz(r[:-1], r[1:])))
     frequency, width = np.angle(roots) * FS / (2 * np.pi), -np.log(np.abs(roots)) * FS / np.pi
-    return np.sort(frequency[(frequency > 150) & (width < 700)])[:3]
+    return np.sort(frequency[(frequency > 150) & (width < 700)])[:count]
 
 
 def pitch(x, low, high):
@@ -135,3 +135,20 @@ def test_activity_is_where_the_energy_is():
     share = speech.active.double().unfold(0, 1600, 800).mean(-1)
     assert level[share == 0].max() == 0
     assert (level[share == 1] > 0.07**2 / 1000).double().mean() > 0.97
+
+
+def test_an_utterance_between_two_settings_keeps_to_absolute_time():
+    voices = SyntheticVoices((SyntheticVoice(pitch=100.0, pitch_range=0.0, jitter=0.0, breath=0.0),))
+    wave = torch.exp(-2j * torch.pi * 100 * torch.arange(2 * FS) / FS)
+    spoken = [voices.speak([[(start, 1.9)]], duration=2.0, fs=FS, seed=0)[0].samples for start in (0.2, 0.2045)]
+    phases = [(x.to(wave.dtype) @ wave).angle() for x in spoken]
+    # pulses are counted from the setting before
+    assert (phases[0] - phases[1]).abs() < 0.2
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.17])
+def test_higher_formants_scale_too(scale):
+    speech = talk(100.0, scale)
+    x = speech.samples.numpy()
+    fourth = [formants(x[80 * k - 320 : 80 * k + 320], count=4)[-1] for k in steady(speech.score)[::3]]
+    assert np.median(fourth) == pytest.approx(3500 * scale, rel=0.03)

@@ -47,12 +47,10 @@ def glottal_pulses(pitch: Tensor, fs: int) -> Tensor:
 
 
 def _decimate(fine: Tensor) -> Tensor:
-    """Return every fourth sample of what is left below half the lower rate; up to 0.95 of that nothing is lost."""
+    """Return what is left below half the lower rate: an ideal low-pass, and every fourth sample."""
     count = len(fine) // _OVERSAMPLING
     size = (count // 512 + 2) * 512  # what rings beyond the ends wraps around into silence
-    bins = torch.linspace(0, 1, size // 2 + 1, dtype=fine.dtype)
-    taper = torch.cos((bins - 0.95).clamp(min=0) * (math.pi / 2 / 0.05)).square()
-    spectrum = torch.fft.rfft(fine, _OVERSAMPLING * size)[: size // 2 + 1] * taper
+    spectrum = torch.fft.rfft(fine, _OVERSAMPLING * size)[: size // 2 + 1]
     coarse: Tensor = torch.fft.irfft(spectrum, size)[:count]
     return coarse / _OVERSAMPLING
 
