@@ -88,8 +88,10 @@ def test_direct_sound_is_exact_where_reflections_are_those_of_the_grid():
 
 
 @reverberant
-def test_moving_reverberant_tone_has_no_clicks():
-    audio = ROOM.render(tone(700.0, 2 * FS), motion(walk(2 * FS)), array(), FS)
+@pytest.mark.parametrize("spacing", [0.1, 0.05])
+def test_moving_reverberant_tone_has_no_clicks(spacing):
+    room = ShoeboxRoom(SIZE, 0.12, spacing=spacing)
+    audio = room.render(tone(700.0, 2 * FS), motion(walk(2 * FS)), array(), FS)
     assert off_tone_db(audio, 700.0, 200) < -60
 
 
@@ -127,11 +129,27 @@ def reverberation(room, signal, moving, microphones):
 
 
 @reverberant
+def test_a_walking_talker_is_heard_as_loud_as_a_standing_one():
+    """Reflections of noise from a walk, against the mean energy of responses from along it: half a decibel less."""
+    signal, moving = torch.randn(2 * FS), motion(walk(2 * FS))
+    heard = torch.diagonal(spectra(reverberation(ROOM, signal, moving, array()))).T.real.mean(0)
+    points = moving.position[::800]
+    h, direct = (room.impulse_responses(points, array(), FS) for room in (ROOM, DRY))
+    h[..., : direct.shape[-1]] -= direct
+    apart = torch.fft.rfft(h, 8192).abs().square().mean((0, 1))
+    edges = [177 * 2**k * 8192 // FS for k in range(6)]
+    gain = torch.stack([apart[a:b].mean() for a, b in itertools.pairwise(edges)])
+    level = 10 * torch.log10(heard / (gain * spectra(signal[None])[0, 0].real))
+    assert level[:3].abs().max() < 0.8
+    assert level[3:].mean() == pytest.approx(-0.5, abs=0.4)
+
+
+@reverberant
 def test_a_finer_grid_gives_the_same_energy_and_coherence():
     """Of the reflections of noise from a walk: energy in octave bands, complex coherence of all pairs.
 
-    While two points fade into each other, what is not alike in their responses loses up to half its energy: 0.6 dB on
-    the whole at 0.1 m and 1 m/s, and up to 1.6 dB at 4 kHz on a grid so fine that it always fades.
+    While two points fade into each other, what is not alike in their responses loses up to half its energy: half the
+    time at 1 m/s, 0.6 dB on the whole, however fine the grid.
     """
     near = MicrophoneArray([[1.35, 0.29, 1.51], [1.40, 0.31, 1.51], [3.01, 1.95, 1.38]])
     signal = torch.randn(2 * FS)
@@ -187,32 +205,6 @@ def test_points_on_a_wall_are_heard_from_two_centimetres_before_it():
 
 
 @reverberant
-def test_reciprocity():
-    points = torch.tensor([[1.1, 1.9, 1.5], [2.8, 0.7, 0.9]])
-    there = ROOM.impulse_responses(points, array(), FS)
-    back = ROOM.impulse_responses(array().positions, MicrophoneArray(points), FS)
-    torch.testing.assert_close(there, back.transpose(0, 1), rtol=0, atol=2e-3)
-
-
-@reverberant
-def test_reflections_leave_the_direct_path_alone():
-    point, end = torch.tensor([[1.6, 0.7, 1.3]]), LEAD + 32  # heard after 24 samples, by the wall after 49
-    dry, wet = (room.impulse_responses(point, array(), FS)[0, 0] for room in (DRY, ROOM))
-    torch.testing.assert_close(wet[:end], dry[:end], rtol=0, atol=0.02 * float(dry.max()))
-
-
-@pytest.mark.parametrize("point", [(1.13, 1.71, 1.51), (0.01, 0.02, 0.0), (1.40, 0.39, 1.45)])
-def test_without_reflections_only_the_direct_sound_is_left(point):
-    h = DRY.impulse_responses(torch.tensor([point]), array(), FS)[0]
-    for response, microphone in zip(h, array().positions.tolist(), strict=True):
-        d = math.dist(point, microphone)
-        n = torch.arange(len(response)) - LEAD - d / 343 * FS
-        f = torch.tensor([500.0, 3000.0, 7000.0])
-        spectrum = (response * torch.exp(-2j * torch.pi * f[:, None] / FS * n)).sum(-1)
-        torch.testing.assert_close(spectrum, torch.full((3,), 1 / d, dtype=spectrum.dtype), rtol=0, atol=0.01 / d)
-
-
-@reverberant
 def test_silence_stays_silent():
     assert torch.equal(ROOM.render(torch.zeros(500), standing(500), array(), FS), torch.zeros(3, 500))
 
@@ -265,19 +257,3 @@ def test_rejects_sound_that_does_not_fit(signal, moving, fs, message):
 def test_a_nan_in_the_signal_goes_no_further():
     with pytest.raises(InputError, match="signal must be finite"):
         DRY.render(torch.full((7,), math.nan), standing(7), array(), FS)
-
-
-@pytest.mark.parametrize(
-    ("points", "directivity", "mouth", "message"),
-    [
-        ((3,), None, None, r"points must have shape \(K, 3\), got \(3,\)"),
-        ((2, 3), SPEECH, None, "mouth must be given for a source with a directivity, and only for one"),
-        ((2, 3), None, [0.0, 1.0], "mouth must be given for a source with a directivity, and only for one"),
-        ((2, 3), SPEECH, [0.0], r"mouth must be 2 finite angles \[rad\], got \(1,\)"),
-        ((2, 3), SPEECH, [0.0, math.nan], r"mouth must be 2 finite angles"),
-    ],
-)
-def test_rejects_points_and_mouths_that_do_not_fit(points, directivity, mouth, message):
-    mouth = None if mouth is None else torch.tensor(mouth)
-    with pytest.raises(InputError, match=message):
-        ROOM.impulse_responses(torch.ones(points), array(), FS, directivity=directivity, mouth=mouth)
