@@ -38,13 +38,14 @@ def main() -> int:
 
 def track_simulated(out: Path, speech: str | None, seed: int) -> int:
     """Simulate the scene, track it from where the talker starts, as S1 does, score and draw it."""
-    from probtrack.simulation import demo_scene
+    from probtrack.simulation import ResponseCache, default_cache, demo_scene, save_scene
 
     begin = time.perf_counter()
     scene = demo_scene(seed, speech)
-    scene.save(out)
+    recording = scene.simulate(ResponseCache(default_cache()))
+    save_scene(out, scene, recording)
     simulated = time.perf_counter() - begin
-    x, y, _ = scene.path[0]
+    x, y = (round(v, 3) for v in recording.truth.motion.position[0, 0, :2].tolist())
     array, truth = str(out / "array.yaml"), str(out / "truth.csv")
     begin = time.perf_counter()
     code = _track(str(out / "audio.wav"), array, out, seed, "--start", f"{x},{y}")
@@ -54,7 +55,7 @@ def track_simulated(out: Path, speech: str | None, seed: int) -> int:
     figures = _score(truth, out / "track.csv")
     voice = "a synthetic voice" if speech is None else speech
     print(f"scene      {scene.duration:g} s of {voice} walking in S1's room, {out}/ ({simulated:.0f} s to simulate)")
-    print(f"room       3.5 x 3.1 x 2.2 m, T60 {scene.t60:g} s, SNR {scene.snr_db:g} dB, 8 microphones")
+    print(f"room       3.5 x 3.1 x 2.2 m, T60 0.27 s, SNR {scene.snr_db:g} dB, 8 microphones")
     print(f"model      CU-LAN with 500 particles, begun at the talker's first position ({x}, {y}) m, seed {seed}")
     _print_files(out, tracked, scene.duration)
     print(f"truth      {truth}, figures in {out}/score.json")

@@ -17,7 +17,7 @@ from experiments.command import run
 from probtrack.audio import Recording
 from probtrack.geometry import MicrophoneArray, Region
 from probtrack.metrics import position_error, root_mean_square, track_lost
-from probtrack.simulation import demo_scene
+from probtrack.simulation import ResponseCache, default_cache, demo_scene, save_scene
 from probtrack.track_files import read_track
 from probtrack.trackers import lehmann2007
 from probtrack.trackers.lehmann2007 import Model
@@ -44,8 +44,8 @@ def main(config: Config) -> dict[str, Any]:
     torch.set_num_threads(1)
     folder = config.out / f"scene-{config.scene_seed}"
     if not (folder / "truth.csv").exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        demo_scene(config.scene_seed).save(folder)
+        scene = demo_scene(config.scene_seed)
+        save_scene(folder, scene, scene.simulate(ResponseCache(default_cache())))
     result = {model: run_model(model, folder, config) for model in get_args(Model)}
     settings = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(config).items()}
     print(json.dumps({"config": settings, "result": result}))

@@ -32,7 +32,7 @@ def demo_scene(seed: int = 0, speech: str | None = None) -> Scene:
     """Return a walk of 8 s among the eight microphones of Lehmann & Johansson 2007, at their height.
 
     The room is theirs (3.5 x 3.1 x 2.2 m, T60 0.27 s), at 20 dB. Their Figure 3 shows one bent line across the
-    array, walked in 7.8 s: so is this one, 2.2 m long; the talker pauses at least twice on the way.
+    array, walked in 7.8 s: so is this one, 2.2 m long; the talker pauses on the way.
 
     Args:
         seed: Of what is said and of the noise.

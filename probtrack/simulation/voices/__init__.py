@@ -7,8 +7,6 @@ from probtrack.simulation.voices.base import Voices as Voices
 from probtrack.simulation.voices.base import VoiceScore as VoiceScore
 from probtrack.simulation.voices.phonemes import VOWELS as VOWELS
 from probtrack.simulation.voices.recorded import RecordedVoices as RecordedVoices
-from probtrack.simulation.voices.single import load_speech as load_speech
-from probtrack.simulation.voices.single import synthesise_speech as synthesise_speech
 from probtrack.simulation.voices.synthetic import SyntheticVoice as SyntheticVoice
 from probtrack.simulation.voices.synthetic import SyntheticVoices as SyntheticVoices
 from probtrack.simulation.voices.synthetic import sustained_vowel as sustained_vowel
