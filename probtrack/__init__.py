@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from probtrack import track_files as track_files
     from probtrack import trackers as trackers
     from probtrack import tracks as tracks
+    from probtrack import training as training
 
 __version__ = "0.1.0"
 
 _ROOMS = (
     "audio", "distributions", "dynamics", "errors", "filters", "geometry", "likelihoods",
-    "metrics", "plotting", "simulation", "switching", "track_files", "trackers", "tracks",
+    "metrics", "plotting", "simulation", "switching", "track_files", "trackers", "tracks", "training",
 )  # fmt: skip
 
 
