@@ -35,7 +35,8 @@ def mirrored(size, talker, mouth, most):
 def transfer(frequency, size, absorption, talker, mouth, microphone, *, pattern, end, fade, fs, c, high_pass):
     """Return the complex response at `frequency` [Hz], of what arrives before `end` [s], fading over `fade` [s].
 
-    `pattern` is (A, p), or None for the same in all directions; reflections go through a Butterworth `high_pass` [Hz].
+    `pattern` gives the amplitude at a cosine off the mouth, None for 1. Reflections go through a
+    Butterworth `high_pass` [Hz].
     """
     position, direction, reflections = mirrored(size, talker, mouth, math.ceil(c * end / min(size) / 2) + 1)
     away = np.asarray(microphone) - position
@@ -43,7 +44,7 @@ def transfer(frequency, size, absorption, talker, mouth, microphone, *, pattern,
     amplitude = np.sqrt(1 - absorption) ** reflections / distance
     if pattern is not None:
         cosine = (away * direction).sum(-1) / distance
-        amplitude = amplitude * 10 ** (-pattern[0] * ((1 - cosine) / 2) ** pattern[1] / 20)
+        amplitude = amplitude * pattern(cosine)
     left = np.clip((end - distance / c) / fade, 0, 1)
     waves = amplitude * (1 - np.cos(np.pi * left)) / 2 * np.exp(-2j * np.pi * frequency * distance / c)
     direct = reflections == 0
