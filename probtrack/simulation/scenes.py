@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from probtrack._checks import check_int
+from probtrack._threads import one_thread
 from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray, shipped_arrays
 from probtrack.simulation.faults import Faults
@@ -131,6 +132,7 @@ class Scene:
             microphones=self.load_array().positions,
         )
 
+    @one_thread()  # sums over several threads round otherwise: the bits would depend on their number
     def listen(self, cache: ResponseCache | None = None) -> Heard:
         """Work out what the microphones hear, noise apart.
 
@@ -157,6 +159,7 @@ class Scene:
         rest = Recording(clean[:, :0], self.fs, array, true_array, truth, speech)
         return Heard(clean, noise, rest)
 
+    @one_thread()
     def record(self, heard: Heard) -> Recording:
         """Return the recording of what was heard, with the noise at `snr_db`, faults, and a peak of 0.9."""
         active = torch.stack([one.active for one in heard.recording.speech]).any(0)
