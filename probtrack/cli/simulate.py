@@ -10,15 +10,14 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser
 
-from probtrack._threads import one_thread
 from probtrack.cli import flags
 from probtrack.errors import InputError
-from probtrack.simulation.data_set import DataSet, load_data_set, make_data_set, missing_scenes
+from probtrack.simulation.data_set import DataSet, check_data_set_output, load_data_set, make_data_set, missing_scenes
 from probtrack.simulation.description import read_yaml
 from probtrack.simulation.estimate import Estimate, estimate
 from probtrack.simulation.presets import shipped_scenes
 from probtrack.simulation.rooms import ResponseCache, default_cache
-from probtrack.simulation.scene_folder import load_scene, save_scene
+from probtrack.simulation.scene_folder import check_scene_output, load_scene, save_scene
 
 
 def parser() -> ArgumentParser:
@@ -54,18 +53,19 @@ def run(argv: Sequence[str]) -> int:
 
 def _scene(config: Path, out: Path, cache: Path, dry_run: bool) -> None:
     scene = load_scene(config)
+    check_scene_output(out)
     if dry_run:
-        _say(_cost(estimate(DataSet((scene,), 1), out / "none", ResponseCache(cache)), 1))
+        _say(_cost(estimate(DataSet((scene,), 1), out / "none", ResponseCache(cache)), out, 1))
         return
     begin = time.perf_counter()
-    with one_thread():
-        save_scene(out, scene, scene.simulate(ResponseCache(cache)))
+    save_scene(out, scene, scene.simulate(ResponseCache(cache)))
     _say(f"{out}: {scene.duration:g} s of {_talkers(scene.num_talkers)}, in {time.perf_counter() - begin:.1f} s")
 
 
 def _data_set(data_set: DataSet, out: Path, cache: Path, workers: int, dry_run: bool) -> None:
+    check_data_set_output(data_set, out)
     if dry_run:
-        _say(_cost(estimate(data_set, out, ResponseCache(cache)), workers))
+        _say(_cost(estimate(data_set, out, ResponseCache(cache)), out, workers))
         return
     ResponseCache(cache)  # says what is wrong with it before any work
     begin, todo = time.perf_counter(), len(missing_scenes(data_set, out))
@@ -76,9 +76,9 @@ def _data_set(data_set: DataSet, out: Path, cache: Path, workers: int, dry_run: 
     _say(f"{out}: {data_set.count} scenes at {len(data_set.snr_db or (0,))} SNR: {took}")
 
 
-def _cost(cost: Estimate, workers: int) -> str:
+def _cost(cost: Estimate, out: Path, workers: int) -> str:
     """Return an estimate in words."""
-    free = shutil.disk_usage(_existing(Path.cwd())).free
+    free = shutil.disk_usage(_existing(out.absolute())).free
     disk = f"{_size(cost.audio_bytes)} for recordings, {_size(cost.response_bytes)} for {cost.responses} responses"
     minutes = cost.seconds / workers / 60
     spent = f"{minutes:.0f} min" if minutes >= 2 else f"{60 * minutes:.0f} s"

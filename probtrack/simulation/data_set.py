@@ -2,7 +2,9 @@
 
 import csv
 import dataclasses
+import io
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -20,7 +22,7 @@ from probtrack._threads import one_thread
 from probtrack.errors import InputError
 from probtrack.simulation.description import described, from_description, read_yaml
 from probtrack.simulation.rooms import ResponseCache
-from probtrack.simulation.scene_folder import save_scene
+from probtrack.simulation.scene_folder import save_scene, with_array_beside
 from probtrack.simulation.scenes import Scene
 
 CONFIGURATION, MANIFEST = "dataset.yaml", "manifest.csv"
@@ -53,12 +55,14 @@ class DataSet:
             raise InputError("data set: scenes must hold at least one template")
         check_int(self.count, "data set: count", low=1)
         check_int(self.seed, "data set: seed", low=0)
-        if self.snr_db is not None and (not self.snr_db or len(set(self.snr_db)) < len(self.snr_db)):
+        if self.snr_db is not None and (not self.snr_db or len({f"{x:g}" for x in self.snr_db}) < len(self.snr_db)):
             raise InputError(f"data set: snr_db must be different ratios, at least one, got {list(self.snr_db)}")
 
     def recordings(self, index: int) -> dict[str, Scene]:
         """Return the recordings of scene `index`: the name of the folder of each, and its scene."""
-        seed = int(np.random.SeedSequence(self.seed, spawn_key=(index,)).generate_state(1)[0])
+        seed = int(
+            np.random.SeedSequence(self.seed, spawn_key=(index,)).generate_state(1, np.uint64)[0] >> np.uint64(11)
+        )
         scene = dataclasses.replace(self.scenes[index % len(self.scenes)], seed=seed)
         name = f"{index:0{len(str(self.count - 1))}d}"
         if self.snr_db is None:
@@ -67,8 +71,13 @@ class DataSet:
 
 
 def load_data_set(path: str | Path) -> DataSet:
-    """Return the data set that a YAML file describes."""
-    return from_description(DataSet, read_yaml(path, "data set file"), path)
+    """Return the data set that a YAML file describes; array files are found from the file's folder too."""
+    content = read_yaml(path, "data set file")
+    if isinstance(content, dict) and isinstance(content.get("scenes"), list):
+        here = Path(path).resolve().parent
+        scenes = [with_array_beside(one, here) if isinstance(one, dict) else one for one in content["scenes"]]
+        content = content | {"scenes": scenes}
+    return from_description(DataSet, content, path)
 
 
 def missing_scenes(data_set: DataSet, folder: Path) -> list[int]:
@@ -80,7 +89,7 @@ def make_data_set(data_set: DataSet, folder: str | Path, cache: Path | None, wor
     """Write what is missing of a data set, and yield the number of each scene as it is finished.
 
     A run that was stopped is gone on with: finished scenes stay as they are. The same files come out whatever the
-    number of workers.
+    number of workers. One run at a time may work on a folder.
 
     Args:
         data_set: What to make.
@@ -116,26 +125,41 @@ def read_manifest(folder: str | Path) -> list[dict[str, str]]:
             rows = list(csv.DictReader(file))
     except OSError as error:
         raise InputError(f"{path}: cannot read the manifest of a data set: {error.strerror}") from None
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the manifest of a data set is not CSV: {error}") from None
     if not rows or set(_COLUMNS) - rows[0].keys():
         raise InputError(f"{path}: not the manifest of a data set with columns {', '.join(_COLUMNS)}, or an empty one")
     return rows
 
 
-def _begin(data_set: DataSet, folder: Path) -> None:
-    """Make the folder, or see that it holds this very data set."""
-    path, wanted = folder / CONFIGURATION, described(data_set)
+def check_data_set_output(data_set: DataSet, folder: Path) -> None:
+    """Raise `InputError` where `folder` holds another data set, or something else."""
+    path = folder / CONFIGURATION
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         if path.exists():
-            difference = _difference(read_yaml(path, "data set file"), wanted)
+            difference = _difference(read_yaml(path, "data set file"), described(data_set))
             if difference:
                 raise InputError(f"{folder}: holds another data set ({difference}): name another folder")
-        elif any(folder.iterdir()):
+        elif folder.exists() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty and holds no data set: name another folder")
-        else:
-            path.write_text(yaml.safe_dump(wanted, sort_keys=False, default_flow_style=None), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot write the data set: {error.strerror}") from None
+
+
+def _begin(data_set: DataSet, folder: Path) -> None:
+    """Make the folder, or see that it holds this very data set and sweep away what a killed run left unfinished."""
+    check_data_set_output(data_set, folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write the data set: {error.strerror}") from None
+    for left in folder.glob(".*.tmp"):
+        if left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+    if not (folder / CONFIGURATION).exists():
+        _put(folder / CONFIGURATION, yaml.safe_dump(described(data_set), sort_keys=False, default_flow_style=None))
 
 
 def _difference(there: object, here: object, name: str = "") -> str:
@@ -184,18 +208,22 @@ def _become_worker() -> None:
 
 
 def _write_manifest(data_set: DataSet, folder: Path) -> None:
-    path = folder / MANIFEST
-    unfinished = path.with_name(f".{MANIFEST}.{os.getpid()}.tmp")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for index in range(data_set.count):
+        for name, scene in data_set.recordings(index).items():
+            if (folder / name).exists():
+                template = index % len(data_set.scenes)
+                writer.writerow([name, index, template, scene.seed, scene.snr_db, scene.num_talkers, scene.duration])
+    _put(folder / MANIFEST, text.getvalue())
+
+
+def _put(path: Path, text: str) -> None:
+    """Write a file, which is there whole or not at all."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with unfinished.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(_COLUMNS)
-            for index in range(data_set.count):
-                for name, scene in data_set.recordings(index).items():
-                    if (folder / name).exists():
-                        template = index % len(data_set.scenes)
-                        row = (scene.seed, scene.snr_db, scene.num_talkers, scene.duration)
-                        writer.writerow([name, index, template, *row])
+        unfinished.write_text(text, encoding="utf-8")
         unfinished.replace(path)
     except OSError as error:
         unfinished.unlink(missing_ok=True)

@@ -1,11 +1,13 @@
 """Scenes as folders: written whole or not at all, and read back."""
 
+import io
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import soundfile
 import torch
@@ -37,6 +39,9 @@ class SceneFolder:
     """
 
     path: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
 
     @property
     def recording(self) -> audio.Recording:
@@ -70,8 +75,19 @@ def load_scene(path: str | Path) -> Scene:
     """Return the scene that a YAML file describes; an array file is found from the file's folder too."""
     content = read_yaml(path, "scene file")
     if isinstance(content, dict):
-        content = _with_array_beside(content, Path(path).parent)
+        content = with_array_beside(content, Path(path).parent)
     return from_description(Scene, content, path)
+
+
+def check_scene_output(folder: str | Path) -> None:
+    """Raise `InputError` where `folder` holds something that is not a scene, before any work is done for it."""
+    path = Path(folder)
+    try:
+        free = not path.exists() or (path.is_dir() and (not any(path.iterdir()) or (path / SCENE).exists()))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot write the scene: {error.strerror}") from None
+    if not free:
+        raise InputError(f"{folder}: is there already, and is not a scene: name another folder")
 
 
 def save_scene(folder: str | Path, scene: Scene, recording: Recording) -> None:
@@ -80,9 +96,12 @@ def save_scene(folder: str | Path, scene: Scene, recording: Recording) -> None:
     Raises:
         InputError: where it cannot be written, as on a full disk, or there is such a folder with something else in it.
     """
-    with _whole(Path(folder)) as target:
+    check_scene_output(folder)
+    with _whole(Path(folder).resolve()) as target:
         pcm = (recording.audio.T * 32767).round().clamp(-32768, 32767).to(torch.int16).numpy()
-        soundfile.write(str(target / AUDIO), pcm, recording.fs, subtype="PCM_16")
+        wave = io.BytesIO()  # soundfile would call a full disk a system error
+        soundfile.write(wave, pcm, recording.fs, format="WAV", subtype="PCM_16")
+        (target / AUDIO).write_bytes(wave.getbuffer())
         recording.array.to_yaml(target / ARRAY, scene.room.region)
         if recording.true_array is not recording.array:
             recording.true_array.to_yaml(target / _TRUE_ARRAY, scene.room.region)
@@ -98,7 +117,8 @@ def scene_text(scene: Scene) -> str:
     return f"# made with {versions}\n" + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 
-def _with_array_beside(content: dict[str, object], folder: Path) -> dict[str, object]:
+def with_array_beside(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the content of a scene file with the path of its array file, if that is in `folder`."""
     beside = folder / str(content.get("array", ""))
     return content | {"array": str(beside)} if beside.is_file() else content
 
@@ -108,8 +128,6 @@ def _whole(folder: Path) -> Iterator[Path]:
     """Give a new folder to write to, which takes the place of `folder` when all is written."""
     unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
     try:
-        if folder.exists() and not _replaceable(folder):
-            raise InputError(f"{folder}: is there already, and is not a scene: name another folder")
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.mkdir(parents=True)
         yield unfinished
@@ -125,8 +143,3 @@ def _whole(folder: Path) -> Iterator[Path]:
         raise InputError(f"{folder}: cannot write the scene: {' '.join(str(what).split())}") from None
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-
-
-def _replaceable(folder: Path) -> bool:
-    """Return whether a scene may be written to `folder`: it is empty, or holds a scene."""
-    return folder.is_dir() and (not any(folder.iterdir()) or (folder / SCENE).exists())
