@@ -87,8 +87,10 @@ def _plain(message: str) -> str:
     line = re.sub(r" Subclass types expect one of:.*", "", line)
     line = re.sub(r"Expected a dot import path string: (\S+)", r"expected the import path of a class, got \1", line)
     line = re.sub(r"(required: )it\.", r"\1", line)
-    line = re.sub(r"Group '(?:it\.)?[\w.]*' does not accept option '(\w+)'", r"nothing is called '\1'", line)
+    line = re.sub(r"Group '(?:it\.)?[\w.]*' does not accept option '([\w.]+)'", r"nothing is called '\1'", line)
     line = re.sub(r"Option '(?:it\.)?([\w.]+)' is not accepted", r"nothing is called '\1'", line)
     line = re.sub(r"Expected a typing\.Literal\[(.*?)\]\. Got value: (.*)", r"expected one of \1, got '\2'", line)
     line = re.sub(r"Expected an? (?:<class ')?([\w. ]+?)(?:'>)?\. Got value: (.*)", r"expected \1, got \2", line)
+    line = re.sub(r"Does not validate .* Subtypes: \[(.*)\] Errors: .* Given value: (.*)", r"expected \1, got \2", line)
+    line = line.replace(", <class 'NoneType'>", " or null")
     return line.strip()[:500]
