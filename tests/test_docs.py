@@ -14,12 +14,15 @@ import torch
 
 from probtrack.cli import flags
 from probtrack.cli.main import COMMANDS
-from probtrack.simulation import Scene
+from probtrack.simulation import Scene, save_scene
+from probtrack.simulation.rooms import ShoeboxRoom
+from probtrack.simulation.trajectories import SmoothPaths
+from probtrack.simulation.voices import SyntheticVoices
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "probtrack"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-GROUND = {"errors", "_checks", "_files"}  # tools that every room may use
+GROUND = {"errors", "_checks", "_files", "_threads"}  # tools that every room may use
 
 
 def blocks(page, *languages):
@@ -30,9 +33,10 @@ def blocks(page, *languages):
 
 
 def command_lines(page):
-    """Return the words of each line that calls probtrack, up to a pipe."""
+    """Return the words of each call of probtrack, of those on one line too, up to a pipe."""
     lines = "\n".join(text for _, text in blocks(page, "console", "bash")).replace("\\\n", " ").splitlines()
-    words = [shlex.split(line.removeprefix("$ "), comments=True) for line in lines]
+    calls = [call for line in lines for call in line.removeprefix("$ ").split(" && ")]
+    words = [shlex.split(call, comments=True) for call in calls]
     return [line[: line.index("|")] if "|" in line else line for line in words if line[:1] == ["probtrack"]]
 
 
@@ -41,7 +45,8 @@ def user_files(tmp_path_factory):
     """A folder with what a user has: a recording, its array file and settings."""
     folder = tmp_path_factory.mktemp("user")
     path = ((0.95, 2.35, 1.51), (0.85, 1.55, 1.51))
-    Scene(path=path, duration=1.7, t60=0.0, seed=1).save(folder)
+    scene = Scene(1.7, ShoeboxRoom((3.5, 3.1, 2.2), 0.0), SmoothPaths((path,)), SyntheticVoices(), seed=1)
+    save_scene(folder, scene, scene.simulate())
     (folder / "audio.wav").rename(folder / "recording.wav")
     (folder / "settings.yaml").write_text("array: array.yaml\nnum_particles: 300\n")
     return folder

@@ -8,7 +8,9 @@ import torch
 
 from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.geometry import MicrophoneArray, Region
-from probtrack.simulation import ShoeboxRoom, add_noise, smooth_path
+from probtrack.simulation.noise import add_noise
+from probtrack.simulation.rooms import ShoeboxRoom
+from probtrack.simulation.trajectories import smooth_path
 from probtrack.trackers import lehmann2007
 from probtrack.trackers.lehmann2007 import Model
 from probtrack.tracks import join
@@ -26,11 +28,11 @@ def scene(array, way, seed=0):
     """Samples (M, n) of noise in bursts, spoken on the way, and the truth at the middle of each frame."""
     generator = torch.Generator().manual_seed(seed)
     path = smooth_path(way, SECONDS, FS)
-    t = torch.arange(len(path.positions)) / FS
+    t = torch.arange(len(path.position)) / FS
     signal = torch.randn(len(t), generator=generator) * (0.02 + (t > 0.4)) * (1 + (torch.pi * 4 * t).sin())
-    heard = ShoeboxRoom(ROOM, t60=0).render_moving(signal, path.positions, array.positions)
+    heard = ShoeboxRoom(ROOM, t60=0).render(signal, path, array, FS)
     middle = torch.arange((len(t) - LENGTH) // HOP + 1) * HOP + LENGTH // 2
-    return add_noise(heard, 25.0, t > 0.4, generator=generator), path.positions[middle]
+    return add_noise(heard, 25.0, t > 0.4, generator=generator), path.position[middle]
 
 
 def plane():
