@@ -87,8 +87,8 @@ def test_seeds_and_talkers_differ(name):
 def test_longer_walk_begins_like_a_shorter_one(trajectories):
     if isinstance(trajectories, GivenPaths | SmoothPaths):
         pytest.skip("a given way takes all of the duration")
-    for long, short in zip(usual(trajectories), drawn(trajectories, duration=1.5), strict=True):
-        torch.testing.assert_close(long[:450], short, rtol=0, atol=1e-9)
+    for long, short in zip(usual(trajectories), drawn(trajectories, duration=1.4), strict=True):
+        torch.testing.assert_close(long[:420], short, rtol=0, atol=1e-9)
 
 
 @every

@@ -9,7 +9,7 @@ from oracles import lehmann_matrices as oracle
 
 from probtrack.dynamics import CoordinateUncoupled, DrivenVelocity, Kinematics, RandomWalk, WithHeading, lehmann2007
 from probtrack.errors import InputError
-from probtrack.geometry import Region
+from probtrack.geometry import Region, wrap_angle
 from probtrack.simulation.trajectories.sampled import ModelWalk, sample_paths
 from probtrack.switching import speech_and_silence
 
@@ -111,6 +111,31 @@ def test_walk_passes_through_the_places_of_the_model():
     assert float(change.abs().median()) == pytest.approx(
         0.6745 * 0.7 * math.sqrt(1 - math.exp(-2 * 0.2 * 0.032)), rel=0.1
     )
+
+
+def test_angles_between_two_steps_take_the_shorter_way_round():
+    walk = ModelWalk("CU-LAN-ORIG")
+    arguments = {"num_talkers": 4, "duration": 6.4, "region": Region((0.0, 0.0, 0.0), (4.0, 3.0, 2.5))}
+    steps = walk.draw([1, 2], rate=31.25, **arguments).body
+    fine = walk.draw([1, 2], rate=312.5, **arguments).body[:-10].unflatten(0, (-1, 10))
+    turn = wrap_angle(steps.diff(dim=0))
+    assert (wrap_angle(fine - steps[:-1, None]).abs() <= turn.abs()[:, None] + 1e-9).all()
+
+
+def test_start_tells_nothing_of_the_steps():
+    arguments = {
+        "num_talkers": 1,
+        "duration": 0.15,
+        "rate": 31.25,
+        "region": Region((0.0, 0.0, 0.0), (60.0, 40.0, 2.5)),
+    }
+    motion = ModelWalk("CU-LAN").draw(range(400), **arguments)
+    velocity = motion.position[:, :, 0, :2].diff(dim=0) / 0.032
+    angle = motion.body[0, :, 0]
+    before = 0.5 * math.exp(-0.2 * 0.032) * torch.stack([angle.cos(), angle.sin()], -1)
+    driven = torch.cat([velocity[0] - before, velocity[1] - velocity[0]], -1)
+    columns = torch.cat([motion.position[0, :, 0, :2], angle[:, None], driven, driven.abs()], -1)
+    assert torch.corrcoef(columns.T)[:3, 3:].abs().max() < 0.2
 
 
 def test_walk_begins_anywhere_at_its_speed():

@@ -33,12 +33,15 @@ def speed_of(motion):
 
 
 def test_desired_speeds_follow_the_truncated_normal_law():
-    fastest = speed_of(drawn(HEADWAY, runs=400, duration=8.0, rate=10.0)).amax(0)[:, 0]
+    motion = drawn(HEADWAY, runs=400, duration=8.0, rate=10.0)
+    fastest = speed_of(motion).amax(0)[:, 0]
     cut = (1.34 / 2 - 1.34) / 0.26, (1.72 - 1.34) / 0.26
     law = scipy.stats.truncnorm(*cut, loc=1.34, scale=0.26)
     assert float(fastest.mean()) == pytest.approx(law.mean(), abs=0.03)
     assert float(fastest.std()) == pytest.approx(law.std(), abs=0.02)
     assert scipy.stats.kstest(fastest.numpy(), law.cdf).pvalue > 0.01
+    together = torch.stack([fastest, motion.position[0, :, 0, 2]])
+    assert abs(float(torch.corrcoef(together)[0, 1])) < 0.15  # the tall are no faster
 
 
 @pytest.mark.parametrize("relaxation", [0.5, 1.0])
@@ -85,6 +88,9 @@ def test_chances_follow_their_laws():
     assert float(stops.double().mean()) == pytest.approx(0.4, abs=0.01)
     for time, mean in ((standing, 3.0), (looking, 2.0)):
         assert scipy.stats.kstest(time.flatten()[::10].numpy(), scipy.stats.expon(0, mean).cdf).pvalue > 0.01
+    columns = [goal[..., 0, 0], goal[..., 1, 0], goal[..., 0, 1], goal[..., 1, 1], stops, standing, look, looking]
+    together = torch.corrcoef(torch.stack([column.double().flatten() for column in columns]))
+    assert (together - torch.eye(8)).abs().max() < 0.02
     shares = torch.bincount(look.flatten(), minlength=4) / look.numel()  # ahead, the point, two others
     torch.testing.assert_close(shares, torch.tensor([0.6, 0.4 / 3, 0.4 / 3, 0.4 / 3]), rtol=0, atol=0.01)
 
