@@ -6,6 +6,7 @@ import time
 import types
 import uuid
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,8 @@ class ObservationFiles:
                 torch.save(kept._asdict(), file)
             unfinished.replace(path)
         except (OSError, RuntimeError) as error:  # RuntimeError: torch's, of a disk that gets full
-            unfinished.unlink(missing_ok=True)
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
             what = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())[:200]
             raise InputError(f"{path.parent}: cannot keep observations: {what}: name another folder") from None
         return kept
@@ -108,11 +110,9 @@ def halved(observations: Observations) -> Observations:
 
 def _sweep(folder: Path) -> None:
     for left in folder.glob(".*.tmp"):
-        try:
+        with suppress(OSError):  # another process swept it
             if time.time() - left.stat().st_mtime > _STALE:
                 left.unlink()
-        except OSError:
-            continue  # another process swept it
 
 
 def _pieces(front_end: FrontEnd) -> Iterator[bytes]:

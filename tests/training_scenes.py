@@ -1,0 +1,63 @@
+"""A small data set on disk for the tests of training: two talkers, three microphones, three scenes at two SNRs."""
+
+import functools
+import shutil
+
+import pytest
+import torch
+
+from probtrack.geometry import MicrophoneArray
+from probtrack.simulation import DataSet, Scene, make_data_set
+from probtrack.simulation.rooms import ShoeboxRoom
+from probtrack.simulation.trajectories import Arc, GivenPaths, Through
+from probtrack.simulation.voices import SyntheticVoices
+from probtrack.training import Lehmann2007FrontEnd
+
+# the first walks round the microphones behind their back, so that its azimuth goes through pi
+WAYS = (Arc((1.1, 1.2, 1.4), 0.5, 2.5, 3.9, 0.3), Through(((2.4, 2.6, 1.6), (2.9, 1.3, 1.6)), 0.3))
+MICROPHONES = [[1.1, 1.2, 1.3], [1.3, 1.2, 1.3], [1.2, 1.35, 1.38]]
+
+
+def array():
+    """In the precision of the test."""
+    return MicrophoneArray(MICROPHONES, "three")
+
+
+def front_end(**settings):
+    """For the array, at 16 kHz."""
+    return Lehmann2007FrontEnd(**settings).make(array(), 16_000)
+
+
+def small_scene(file, **changes):
+    """Anechoic, so without pyroomacoustics and in a moment."""
+    room = ShoeboxRoom(size=(3.6, 3.1, 2.4), t60=0.0)
+    settings = {"duration": 1.3, "trajectories": GivenPaths(WAYS), "num_talkers": 2, "array": str(file)}
+    return Scene(room=room, voices=SyntheticVoices(), **(settings | changes))
+
+
+@functools.cache  # a fixture of a session is made once in every file that takes it from here
+def _made(factory):
+    folder = factory.mktemp("small")
+    file = folder / "three.yaml"
+    array().to_yaml(file)
+    for _ in make_data_set(DataSet((small_scene(file),), 3, (5.0, 20.0), 4), folder / "set", None):
+        pass
+    return folder / "set"
+
+
+@pytest.fixture(scope="session")
+def small_data_set(tmp_path_factory):
+    """A data set that no test may change."""
+    return _made(tmp_path_factory)
+
+
+@pytest.fixture
+def data_set(small_data_set, tmp_path):
+    """A copy of one's own."""
+    return shutil.copytree(small_data_set, tmp_path / "set")
+
+
+@pytest.fixture
+def float32():
+    """The precision that users have."""
+    torch.set_default_dtype(torch.float32)
