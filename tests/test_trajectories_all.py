@@ -110,6 +110,14 @@ def test_single_precision_keeps_the_limits():
         assert motion.mouth.max() < torch.tensor(math.pi)
 
 
+@pytest.mark.parametrize("name", ["social force", "given", "turned"])
+def test_same_way_in_any_precision(name):
+    double = usual(TRAJECTORIES[name]).position
+    torch.set_default_dtype(torch.float32)
+    single = drawn(TRAJECTORIES[name], microphones=MICROPHONES).position  # given in the precision they had
+    torch.testing.assert_close(single.double(), double, rtol=0, atol=1e-5)
+
+
 @every
 @pytest.mark.parametrize(
     ("changes", "message"),
