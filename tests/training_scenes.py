@@ -36,8 +36,7 @@ def small_scene(file, **changes):
 
 
 @functools.cache  # a fixture of a session is made once in every file that takes it from here
-def _made(factory):
-    folder = factory.mktemp("small")
+def _made(folder):
     file = folder / "three.yaml"
     array().to_yaml(file)
     for _ in make_data_set(DataSet((small_scene(file),), 3, (5.0, 20.0), 4), folder / "set", None):
@@ -48,7 +47,9 @@ def _made(factory):
 @pytest.fixture(scope="session")
 def small_data_set(tmp_path_factory):
     """A data set that no test may change."""
-    return _made(tmp_path_factory)
+    folder = tmp_path_factory.getbasetemp() / "small"
+    folder.mkdir(exist_ok=True)
+    return _made(folder)
 
 
 @pytest.fixture
