@@ -92,5 +92,5 @@ def _plain(message: str) -> str:
     line = re.sub(r"Expected a typing\.Literal\[(.*?)\]\. Got value: (.*)", r"expected one of \1, got '\2'", line)
     line = re.sub(r"Expected an? (?:<class ')?([\w. ]+?)(?:'>)?\. Got value: (.*)", r"expected \1, got \2", line)
     line = re.sub(r"Does not validate .* Subtypes: \[(.*)\] Errors: .* Given value: (.*)", r"expected \1, got \2", line)
-    line = line.replace(", <class 'NoneType'>", " or null")
+    line = re.sub(r"(?:<class ')?([\w.\[\], ]+?)(?:'>)?, <class 'NoneType'>", r"\1 or null", line)
     return line.strip()[:500]

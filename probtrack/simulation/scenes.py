@@ -24,7 +24,7 @@ from probtrack.simulation.voices import Speech, Turns, TurnTaking, Voices
 
 _PEAK = 0.9  # of the loudest sample of a recording
 _PURPOSES = ("motion", "turns", "voices", "noise", "faults")
-_LONGEST = 1800.0  # s; a scene is worked out as a whole, in memory
+_LONGEST = 600.0  # s; a scene is worked out as a whole, in memory
 
 
 class Recording(NamedTuple):

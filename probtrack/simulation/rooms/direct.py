@@ -68,8 +68,7 @@ def direct_responses(
     offset = microphones.double() - points.double()[:, None]
     distance = offset.square().sum(-1).sqrt().clamp(min=NEAREST)
     delay = distance / speed_of_sound + LEAD / fs
-    over = ((frequency / fs - _TAPER) / (0.5 - _TAPER)).clamp(min=0)
-    gain = (1 + torch.cos(math.pi * over)) / 2 / distance[..., None]
+    gain = taper(frequency, fs) / distance[..., None]
     if directivity is not None:
         ahead = torch.stack([mouth.double().cos(), mouth.double().sin()], -1)[:, None]
         cosine = ((offset[..., :2] * ahead).sum(-1) / distance)[..., None]
@@ -78,6 +77,15 @@ def direct_responses(
     spectrum = torch.polar(gain, -2 * math.pi * delay[..., None] * frequency)
     responses: Tensor = torch.fft.irfft(spectrum, size)[..., :length].to(torch.get_default_dtype())
     return responses
+
+
+def taper(frequency: Tensor, fs: int) -> Tensor:
+    """Return the gain of responses at `frequency` [Hz]: 1 up to 0.45 of the sampling rate, 0 at half of it.
+
+    A steep end there would ring on both sides of every arrival.
+    """
+    over = ((frequency / fs - _TAPER) / (0.5 - _TAPER)).clamp(0, 1)
+    return (1 + torch.cos(math.pi * over)) / 2
 
 
 def _shaped(signal: Tensor, directivity: Directivity | None, fs: int) -> Tensor:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from probtrack.simulation.rooms.direct import LEAD, NEAREST
+from probtrack.simulation.rooms.direct import LEAD, NEAREST, taper
 from probtrack.simulation.rooms.directivity import Directivity
 
-METHOD = 1
+METHOD = 2
 """Of computing responses: another number makes the cache compute all anew. To change with every change of numbers."""
 
 _AUDIBLE = 20.0  # Hz
@@ -85,7 +85,7 @@ class DirectionalResponses:
         self.size = 1 << math.ceil(math.log2(length + round(0.05 * fs)))  # room for what the filters ring
         frequency = torch.fft.rfftfreq(self.size, 1 / fs, dtype=torch.float64)
         spread = torch.sinc(frequency / (fs * _FINE)).square()  # of the split
-        band = _high_pass(frequency, fs) / spread
+        band = _high_pass(frequency, fs) * taper(frequency, fs) / spread
         self.directional = directivity is not None
         polynomial = band.new_ones(len(band), 1) if directivity is None else directivity.polynomial(frequency)
         self.filters = (polynomial.T * band).to(torch.complex64)  # (1 or 3, F)
