@@ -189,7 +189,10 @@ def _make(data_set: DataSet, folder: Path, cache: Path | None, index: int) -> in
 
 
 def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list[int], workers: int) -> Iterator[int]:
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_become_worker) as pool:
+    begin = (torch.get_default_dtype(),)
+    with ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=_become_worker, initargs=begin
+    ) as pool:
         made: list[Future[int]] = [pool.submit(_make, data_set, folder, cache, index) for index in todo]
         try:
             for future in as_completed(made):
@@ -202,7 +205,8 @@ def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _become_worker() -> None:
+def _become_worker(dtype: torch.dtype) -> None:
+    torch.set_default_dtype(dtype)  # a fresh process has torch's own
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to deal with
 
