@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from probtrack.errors import InputError
-from probtrack.track_files import COLUMNS, SUFFIXES, TrackWriter, check_track_output, read_track, rows_of
+from probtrack.track_files import COLUMNS, SUFFIXES, TrackWriter, check_track_output, read_track, read_tracks, rows_of
 from probtrack.tracks import Track
 
 each_kind = pytest.mark.parametrize("suffix", SUFFIXES)
@@ -303,3 +303,27 @@ def test_checking_leaves_files_as_they_were(tmp_path):
 def test_opening_empties_what_was_there(tmp_path, suffix):
     path = write(tmp_path / f"t{suffix}", rows_of(track(30)))
     assert len(read_track(write(path, rows_of(track(2)))).time) == 2
+
+
+def test_all_tracks_of_a_file_are_read_in_the_order_of_their_numbers(tmp_path):
+    rows = "time,track,x,y\n0,10,1,2\n0,2,3,4\n1,10,5,6\n1,2,7,8\n2,2,9,0\n"
+    second, tenth = read_tracks(file(tmp_path, rows))
+    assert second.time.tolist() == [0, 1, 2]
+    assert second.position.tolist() == [[3, 4], [7, 8], [9, 0]]
+    assert tenth.position.tolist() == [[1, 2], [5, 6]]
+
+
+@pytest.mark.parametrize("header", ["time,x,y\n0,1,2\n1,3,4\n", "time,track,x,y\n0,7,1,2\n1,,3,4\n"])
+def test_one_track_needs_no_number(tmp_path, header):
+    path = file(tmp_path, header)
+    (only,) = read_tracks(path)
+    assert torch.equal(only.position, read_track(path).position)
+
+
+def test_several_tracks_need_numbers_and_times_in_order(tmp_path):
+    with pytest.raises(InputError, match=r"bad.csv: holds several tracks: every row needs a track number"):
+        read_tracks(file(tmp_path, "time,track,x,y\n0,1,1,2\n0,2,3,4\n1,,5,6\n"))
+    with pytest.raises(InputError, match=r"bad.csv: times must increase"):
+        read_tracks(file(tmp_path, "time,track,x,y\n0,1,1,2\n1,2,3,4\n0,2,5,6\n"))
+    with pytest.raises(InputError, match=r"bad.csv: the track file has no rows"):
+        read_tracks(file(tmp_path, "time,track,x,y\n"))
