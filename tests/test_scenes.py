@@ -192,7 +192,7 @@ def test_demo_walks_among_the_microphones_and_pauses_twice():
     ("changes", "message"),
     [
         ({"snr_db": math.inf}, "snr_db must be finite"),
-        ({"duration": 0.01}, "duration must be 0.032 to 1800 s, got 0.01"),
+        ({"duration": 0.01}, "duration must be 0.032 to .* s, got 0.01"),
         ({"duration": math.nan}, "duration must be"),
         ({"duration": 1e5}, "duration must be"),
         ({"array": "nowhere.yaml"}, "nowhere.yaml: cannot read array file"),
