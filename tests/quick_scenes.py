@@ -4,14 +4,14 @@ import dataclasses
 
 from probtrack.simulation import Scene
 from probtrack.simulation.rooms import ShoeboxRoom
-from probtrack.simulation.trajectories import GivenPaths, Standing, Through
+from probtrack.simulation.trajectories import FacingPoint, GivenPaths, Standing, Through
 from probtrack.simulation.voices import SyntheticVoices
 
 SIZE = (3.5, 3.1, 2.2)
 OPEN = ShoeboxRoom(SIZE, 0.0)
 HARD = ShoeboxRoom(SIZE, 0.08, spacing=0.5)
 WALK = Through(((0.9, 2.3, 1.5), (1.3, 1.1, 1.4), (2.4, 1.3, 1.6)))
-TWO = GivenPaths((WALK, Standing((2.3, 2.1, 1.3), 0.4)))
+TWO = GivenPaths((FacingPoint(WALK, (2.6, 2.2)), Standing((2.3, 2.1, 1.3), 0.4)))  # one looks about as it walks
 
 
 def quick(**changes):

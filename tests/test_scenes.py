@@ -72,6 +72,11 @@ def test_clean_sound_is_the_sum_of_the_talkers():
     assert alone[0].any()
     assert alone[1].any()
     torch.testing.assert_close(both, alone[0] + alone[1])
+    scene = two_talkers(turns=SAID, directivity="omnidirectional", noises=())
+    heard = scene.listen()
+    where, said = scene.motion(), heard.recording.speech
+    parts = [OPEN.render(said[k].samples, where.talker(k), scene.load_array(), scene.fs) for k in range(2)]
+    torch.testing.assert_close(heard.clean, parts[0] + parts[1])
 
 
 def test_level_and_shape():
