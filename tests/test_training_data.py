@@ -51,10 +51,10 @@ def test_truth_at_a_frame_is_the_motion_of_the_scene_at_its_centre(data_set, set
     assert held < 0.02
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_observations_are_what_the_tracker_hears(data_set, dtype):
+@pytest.mark.parametrize(("dtype", "hop"), [(torch.float32, 256), (torch.float64, 256), (torch.float32, 400)])
+def test_observations_are_what_the_tracker_hears(data_set, dtype, hop):
     torch.set_default_dtype(dtype)
-    tracker = lehmann2007(array(), Region.around(array()))
+    tracker = lehmann2007(array(), Region.around(array()), hop=hop)
     item, sound = SceneDataset(data_set, tracker.front_end)[4], SceneDataset(data_set)[4].audio
     gcc, speech = tracker.front_end(sound.to(dtype))
     assert item.audio is None
@@ -63,8 +63,9 @@ def test_observations_are_what_the_tracker_hears(data_set, dtype):
     torch.testing.assert_close(item.observations.gcc, gcc.detach(), rtol=2**-11 * 1.01, atol=2e-7)
     track = tracker(sound.to(dtype)[None], torch.tensor([0]))
     torch.testing.assert_close(item.time, track.time, rtol=0, atol=0)
-    truth = SceneFolder(data_set / item.name).truth[0]
-    torch.testing.assert_close(item.time, truth.time, rtol=0, atol=1e-6)
+    if hop == 256:
+        truth = SceneFolder(data_set / item.name).truth[0]
+        torch.testing.assert_close(item.time, truth.time, rtol=0, atol=1e-6)
 
 
 def test_sound_can_come_on_other_frames(data_set):

@@ -225,6 +225,14 @@ def test_trainer_fits_a_model_to_batches(data_set, tmp_path, dtype):
     assert model.mean.abs().min() > 0
 
 
+def test_an_epoch_has_an_order_and_a_draw_of_its_own():
+    sampler = SceneSampler(20, 3)
+    first, second = (list(zip(*sampler, strict=True)) for _ in range(2))
+    assert sorted(first[0]) == sorted(second[0]) == list(range(20))
+    assert first[0] != second[0]
+    assert (set(first[1]), set(second[1])) == ({0}, {1})
+
+
 def test_sampler_rejects():
     with pytest.raises(InputError, match="count must be"):
         SceneSampler(0)

@@ -87,7 +87,7 @@ class _Talker:
         self.after, self.before = after, torch.where(at_row, after, (after - 1).clamp_min(0))
         self.before = torch.where(wanted > time[-1], after, self.before)
         gap = time[self.after] - time[self.before]
-        self.share = ((wanted - time[self.before]) / gap.clamp_min(_ROUNDING)).clamp(0, 1).masked_fill(gap == 0, 0.0)
+        self.share = ((wanted - time[self.before]) / gap.clamp_min(_ROUNDING)).masked_fill(gap == 0, 0.0)
         near = (wanted >= time[0] - _BEYOND) & (wanted <= time[-1] + _BEYOND)
         self.known = near & (gap <= _LONGEST_GAP)
 
