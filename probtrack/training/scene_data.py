@@ -90,8 +90,8 @@ class SceneDataset(Dataset[SceneItem]):
 
     Without a front end an item is sound, and its frames are those of `stft`. With one, an item is what the front end
     observes, as it is now (a copy: training it later changes nothing here), worked out once and kept on disk: see
-    `ObservationFiles`. Kept on disk, a second of sound takes 125 T P K / hop kB or so, which is 3.5 MB for S1's eight
-    microphones along the walls of a room, and 0.3 MB for eight in a circle of 20 cm.
+    `ObservationFiles`. On disk a second of sound takes 2 P K fs / hop bytes (P pairs, K lags): 3.5 MB for S1's eight
+    microphones along the walls of a room, 0.3 MB for eight on a circle of 20 cm.
 
     An index is the number of a recording, or that with the number of a draw: with `crop`, another draw cuts another
     piece out of the recording, always the same one for one seed, recording and draw.
