@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -193,8 +194,9 @@ def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list
     with ProcessPoolExecutor(
         workers, mp_context=get_context("spawn"), initializer=_become_worker, initargs=begin
     ) as pool:
-        made: list[Future[int]] = [pool.submit(_make, data_set, folder, cache, index) for index in todo]
         try:
+            with _interruptions_held():
+                made: list[Future[int]] = [pool.submit(_make, data_set, folder, cache, index) for index in todo]
             for future in as_completed(made):
                 yield future.result()
         except BrokenProcessPool:
@@ -203,6 +205,19 @@ def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list
             ) from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interruptions_held() -> Iterator[None]:
+    """Hold an interruption back: processes started meanwhile never hear one, and this one does afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _become_worker(dtype: torch.dtype) -> None:
