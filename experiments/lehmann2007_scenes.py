@@ -117,7 +117,7 @@ def tracked(folders: list[SceneFolder], model: Model, config: Config) -> tuple[T
         tracker = lehmann2007(folder.array, region, model, num_particles=config.num_particles, exponent=config.exponent)
         position = truth[0].position
         assert position is not None
-        track = tracker(folder.recording.read(), torch.arange(config.runs), position[0, :2].float())
+        track = tracker(folder.open_recording().read(), torch.arange(config.runs), position[0, :2].float())
         frames = min(len(position), track.num_frames)
         error = position_error(track.position[:frames].double(), position[:frames, None, :2])  # (T, runs)
         errors.append(root_mean_square(error))

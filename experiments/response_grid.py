@@ -78,7 +78,7 @@ def _frames(folder: SceneFolder) -> tuple[torch.Tensor, torch.Tensor]:
     assert position is not None
     assert speech is not None
     tracker = lehmann2007(folder.array, region)
-    observations = tracker.front_end(folder.recording.read())
+    observations = tracker.front_end(folder.open_recording().read())
     count = min(len(position), len(observations.gcc))
     talks = speech[:count] > 0
     gcc, place = observations.gcc[:count][talks], position[:count][talks, :2].float()

@@ -34,7 +34,7 @@ def test_what_was_written_is_read_back(tmp_path):
     folder = SceneFolder(str(tmp_path / "a"))
     assert set(content(folder.path)) == ALWAYS | {"true_array.yaml", "voices.csv"}
     audio, fs = soundfile.read(folder.path / "audio.wav", dtype="int16")
-    assert fs == folder.recording.fs == 16000
+    assert fs == folder.open_recording().fs == 16000
     assert soundfile.info(folder.path / "audio.wav").subtype == "PCM_16"
     torch.testing.assert_close(torch.from_numpy(audio).double().T / 32767, recording.audio, rtol=0, atol=0.51 / 32767)
     torch.testing.assert_close(folder.array.positions, recording.array.positions)
@@ -166,7 +166,7 @@ def test_a_folder_of_ones_own_needs_no_truth(tmp_path):
     soundfile.write(tmp_path / "audio.flac", torch.zeros(100, 2).numpy(), 8000)
     (tmp_path / "array.yaml").write_text("positions: [[0, 0, 0], [0, 0.1, 0]]")
     folder = SceneFolder(tmp_path)
-    assert folder.recording.file_rate == 8000
+    assert folder.open_recording().file_rate == 8000
     assert folder.truth is None
     assert folder.region is None
     with pytest.raises(InputError, match=r"scene.yaml: cannot read scene file"):

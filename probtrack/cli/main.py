@@ -40,7 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "allocate memory" not in str(error):
             raise  # a defect of ours: its traceback is wanted
-        return _fail(f"probtrack {command}", "not enough memory: fewer particles, or a larger speed of sound?")
+        return _fail(
+            f"probtrack {command}",
+            "not enough memory: fewer particles or workers, or a larger speed of sound?",
+        )
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left: nothing to say, and nobody to say it to
         return 0

@@ -7,10 +7,11 @@ import os
 import shutil
 import signal
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -195,10 +196,13 @@ def _in_parallel(data_set: DataSet, folder: Path, cache: Path | None, todo: list
         workers, mp_context=get_context("spawn"), initializer=_become_worker, initargs=begin
     ) as pool:
         try:
+            left = iter(todo)  # no more are handed out than are worked on: an interruption waits for these only
             with _interruptions_held():
-                made: list[Future[int]] = [pool.submit(_make, data_set, folder, cache, index) for index in todo]
-            for future in as_completed(made):
-                yield future.result()
+                pending = {pool.submit(_make, data_set, folder, cache, index) for index in islice(left, workers)}
+            while pending:
+                made, pending = wait(pending, return_when=FIRST_COMPLETED)
+                pending |= {pool.submit(_make, data_set, folder, cache, index) for index in islice(left, len(made))}
+                yield from (future.result() for future in made)
         except BrokenProcessPool:
             raise InputError(
                 f"{folder}: a worker was killed, perhaps for want of memory: start again with fewer --workers to go on"

@@ -49,10 +49,11 @@ class Faults:
 
         Those that would be outside `region`, the room, are put at its nearest point.
         """
-        positions = array.positions
-        moved = positions + self.position_std * torch.randn(
-            positions.shape, generator=self._generators(generator)[0], dtype=positions.dtype
-        )
+        self._check_channels(array.num_microphones)
+        error = torch.randn(
+            array.positions.shape, generator=self._generators(generator)[0], dtype=torch.float64
+        )  # the same in any precision
+        moved = (array.positions + self.position_std * error).to(array.positions)
         if self.position_std == 0:
             return array
         if region is not None:
@@ -88,11 +89,14 @@ class Faults:
             raise ShapeError(f"audio must have shape (M, S), got {tuple(audio.shape)}")
         if not audio.isfinite().all():
             raise NotFiniteError("audio must be finite, got NaN or infinite samples")
-        absent = [channel for channel in self.dead_channels if channel > len(audio)]
+        self._check_channels(len(audio))
+
+    def _check_channels(self, count: int) -> None:
+        absent = [channel for channel in self.dead_channels if channel > count]
         if absent:
-            raise InputError(f"dead_channels must be from 1 to {len(audio)}, got {absent[0]}")
-        if len(set(self.dead_channels)) == len(audio):
-            raise InputError(f"dead_channels must leave a microphone alive, got all {len(audio)}")
+            raise InputError(f"dead_channels must be from 1 to {count}, got {absent[0]}")
+        if len(set(self.dead_channels)) == count:
+            raise InputError(f"dead_channels must leave a microphone alive, got all {count}")
 
     @staticmethod
     def _generators(generator: torch.Generator) -> list[torch.Generator]:

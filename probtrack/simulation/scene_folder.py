@@ -44,10 +44,14 @@ class SceneFolder:
         object.__setattr__(self, "path", Path(self.path))
 
     @property
-    def recording(self) -> audio.Recording:
-        """The recording, `audio.wav` or `audio.flac`."""
+    def audio_path(self) -> Path:
+        """File of the recording, `audio.wav` or `audio.flac`."""
         flac = self.path / "audio.flac"
-        return audio.Recording.open(flac if flac.exists() else self.path / AUDIO)
+        return flac if flac.exists() else self.path / AUDIO
+
+    def open_recording(self, fs: int = 16_000) -> audio.Recording:
+        """Open the recording, to be read at `fs` [Hz]."""
+        return audio.Recording.open(self.audio_path, fs)
 
     @property
     def array(self) -> MicrophoneArray:

@@ -176,7 +176,7 @@ class SceneDataset(Dataset[SceneItem]):
         return self.crop or self.grid.count(self._recording(number).num_output_samples)
 
     def _recording(self, number: int) -> audio.Recording:
-        return audio.Recording.open(self.folders[number].recording.path, self.grid.fs)
+        return audio.Recording.open(self.folders[number].audio_path, self.grid.fs)
 
     def _start(self, number: int, draw: int, total: int) -> int:
         assert self.crop is not None
