@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import os
+import pathlib
 import signal
 import subprocess
 import sys
@@ -37,7 +38,7 @@ def complete(folder, scenes):
     """Assert that the folder holds the whole data set and nothing else."""
     names = [name for index in range(scenes.count) for name in scenes.recordings(index)]
     assert [row["folder"] for row in read_manifest(folder)] == names
-    assert {path.name for path in folder.iterdir()} == {*names, "manifest.csv", "dataset.yaml"}
+    assert {path.name for path in folder.iterdir()} == {*names, "manifest.csv", "dataset.yaml", "inputs.yaml"}
     for name in names:
         parts = {path.name for path in (folder / name).iterdir()}
         assert parts == {"audio.wav", "array.yaml", "truth.csv", "scene.yaml", "voices.csv"}
@@ -209,7 +210,7 @@ def test_a_scene_that_cannot_be_is_named_and_what_was_finished_kept(tmp_path):
         make(DataSet((SHORT, outside), 3), tmp_path / "set")
     assert "\n" not in str(caught.value)
     assert [row["folder"] for row in read_manifest(tmp_path / "set")] == ["0"]
-    assert {path.name for path in (tmp_path / "set").iterdir()} == {"0", "manifest.csv", "dataset.yaml"}
+    assert {path.name for path in (tmp_path / "set").iterdir()} == {"0", "manifest.csv", "dataset.yaml", "inputs.yaml"}
 
 
 def test_a_full_disk_is_said_and_can_be_gone_on_from(tmp_path, monkeypatch):
@@ -235,7 +236,7 @@ def test_a_configuration_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(data_set.Path, "write_text", full)
-        with pytest.raises(InputError, match=r"dataset.yaml: cannot write: No space left on device"):
+        with pytest.raises(InputError, match=r"inputs.yaml: cannot write: No space left on device"):
             make(DataSet((SHORT,), 1), tmp_path / "set")
     assert list((tmp_path / "set").iterdir()) == []
     make(DataSet((SHORT,), 1), tmp_path / "set")
@@ -271,3 +272,62 @@ def test_rejects_no_workers(tmp_path):
     with pytest.raises(InputError, match="workers must be an integer of at least 1, got 0"):
         make(DataSet((SHORT,), 1), tmp_path / "set", workers=0)
     assert not (tmp_path / "set").exists()
+
+
+def test_other_inputs_are_refused_when_gone_on_with(tmp_path, monkeypatch):
+    config = write_data_set(tmp_path, "count: 1")
+    make(load_data_set(config), tmp_path / "set")
+    with monkeypatch.context() as patched:
+        patched.setattr(data_set, "made_with", lambda: {"torch": "0.1"})
+        with pytest.raises(InputError, match=r"inputs.made_with.* is .* there and .* here"):
+            make(load_data_set(config), tmp_path / "set")
+    array = tmp_path / "pair.yaml"
+    array.write_text(array.read_text().replace("0.4", "0.41"))
+    with pytest.raises(InputError, match=r"inputs.arrays.* is 0.4 there and 0.41 here"):
+        make(load_data_set(config), tmp_path / "set")
+
+
+def test_a_scene_that_lost_a_file_is_made_again(tmp_path):
+    scenes = DataSet((SHORT,), 2)
+    make(scenes, tmp_path / "set")
+    before = (tmp_path / "set" / "1" / "audio.wav").read_bytes()
+    (tmp_path / "set" / "1" / "audio.wav").write_bytes(b"")
+    (tmp_path / "set" / "0" / "truth.csv").unlink()
+    assert make(scenes, tmp_path / "set") == [0, 1]
+    assert (tmp_path / "set" / "1" / "audio.wav").read_bytes() == before
+    complete(tmp_path / "set", scenes)
+
+
+@pytest.mark.slow
+def test_workers_end_when_their_parent_is_killed(tmp_path):
+    program = (
+        "import os, sys, time\n"
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from multiprocessing import get_context\n"
+        "import torch\n"
+        "from probtrack.simulation.data_set import _become_worker\n"
+        "if __name__ == '__main__':\n"
+        "    pool = ProcessPoolExecutor(1, get_context('spawn'), _become_worker, (torch.float32,))\n"
+        "    print(pool.submit(os.getpid).result(), flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "program.py")], stdout=subprocess.PIPE, text=True)
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    for _ in range(100):
+        if not _alive(worker):
+            return
+        time.sleep(0.1)
+    os.kill(worker, signal.SIGKILL)
+    pytest.fail("the worker lived on")
+
+
+def _alive(process):
+    try:
+        state = pathlib.Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"

@@ -217,7 +217,7 @@ def test_silence_stays_silent():
         (((3.5, math.nan, 2.2), 0.2), "size must be three positive lengths"),
         ((SIZE, -0.1), "t60 must be finite and not negative, got -0.1"),
         ((SIZE, math.nan), "t60 must be finite and not negative, got nan"),
-        ((SIZE, 0.2, 0.0), "spacing must be finite and positive, got 0.0"),
+        ((SIZE, 0.2, 0.0), "spacing must be finite and at least 0.01 m, got 0.0"),
         ((SIZE, 0.2, 0.1, -1.0), r"speed_of_sound must be finite and positive, got -1.0"),
     ],
 )

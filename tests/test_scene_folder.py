@@ -3,6 +3,9 @@
 import csv
 import errno
 import os
+import pathlib
+import subprocess
+import sys
 
 import pytest
 import soundfile
@@ -186,3 +189,34 @@ def test_a_measured_room_is_heard_in_a_scene(tmp_path):
     save(tmp_path / "a", scene)
     save(tmp_path / "b", SceneFolder(tmp_path / "a").scene)
     assert content(tmp_path / "a") == content(tmp_path / "b")
+
+
+def test_files_are_found_from_the_scene_files_folder(tmp_path, monkeypatch):
+    """Also those within parts; and the saved scene names them so that it works from anywhere."""
+    (tmp_path / "here" / "speech").mkdir(parents=True)
+    sound = torch.randn(16000, generator=torch.Generator().manual_seed(1)).numpy() * 0.1
+    soundfile.write(tmp_path / "here" / "speech" / "someone.wav", sound, 8000)
+    path = pathlib.Path(write_scene(tmp_path / "here"))
+    path.write_text(
+        path.read_text().replace(
+            "{class_path: SyntheticVoices}", "{class_path: RecordedVoices, init_args: {folder: speech}}"
+        )
+    )
+    scene = load_scene(path)
+    assert scene.voices.folder == str(tmp_path / "here" / "speech")
+    save(tmp_path / "out", scene)
+    monkeypatch.chdir(tmp_path / "out")
+    assert SceneFolder(tmp_path / "out").scene.voices == scene.voices
+
+
+def test_parts_are_known_by_their_names():
+    """In a process that has imported nothing but what a scene file needs."""
+    program = (
+        "from probtrack.simulation.description import _CHOSEN\n"
+        "print(*(kind.__name__ for family in _CHOSEN for kind in type.__subclasses__(family)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    trajectories = {"SocialForceWalk", "ModelWalk", "GivenPaths", "SmoothPaths", "Through", "Arc", "Waiting", "InTurn"}
+    sounds = {"RecordedVoices", "SyntheticVoices", "GivenTurns", "TurnTaking"}
+    noises = {"WhiteNoise", "DiffuseNoise", "RecordedNoise", "Interferer"}
+    assert set(done.stdout.split()) >= {*trajectories, *sounds, *noises, "MeasuredRoom", "ShoeboxRoom"}

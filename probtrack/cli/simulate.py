@@ -13,11 +13,12 @@ from jsonargparse import ArgumentParser
 from probtrack.cli import flags
 from probtrack.errors import InputError
 from probtrack.simulation.data_set import DataSet, check_data_set_output, load_data_set, make_data_set, missing_scenes
-from probtrack.simulation.description import read_yaml
+from probtrack.simulation.description import described, read_yaml
 from probtrack.simulation.estimate import Estimate, estimate
 from probtrack.simulation.presets import shipped_scenes
 from probtrack.simulation.rooms import ResponseCache, default_cache
 from probtrack.simulation.scene_folder import check_scene_output, load_scene, save_scene
+from probtrack.simulation.scenes import Scene
 
 
 def parser() -> ArgumentParser:
@@ -45,15 +46,28 @@ def run(argv: Sequence[str]) -> int:
     cache = Path(args.cache) if args.cache else default_cache()
     content = read_yaml(config, "scene or data set file")
     if isinstance(content, dict) and "scenes" in content:
-        _data_set(load_data_set(config), out, cache, args.workers, args.dry_run)
+        data_set = load_data_set(config)
+        with _naming(config):
+            _data_set(data_set, out, cache, args.workers, args.dry_run)
     else:
-        _scene(config, out, cache, args.dry_run)
+        scene = load_scene(config)
+        with _naming(config):
+            _scene(scene, out, cache, args.dry_run)
     return 0
 
 
-def _scene(config: Path, out: Path, cache: Path, dry_run: bool) -> None:
-    scene = load_scene(config)
+@contextmanager
+def _naming(config: Path) -> Iterator[None]:
+    """Name the file that said what turns out to be wrong."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{config}: {error}") from None
+
+
+def _scene(scene: Scene, out: Path, cache: Path, dry_run: bool) -> None:
     check_scene_output(out)
+    described(scene)  # says what could not be written before any work
     if dry_run:
         _say(_cost(estimate(DataSet((scene,), 1), out / "none", ResponseCache(cache)), out, 1))
         return

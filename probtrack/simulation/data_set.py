@@ -6,6 +6,8 @@ import io
 import os
 import shutil
 import signal
+import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -22,12 +24,13 @@ import yaml
 from probtrack._checks import check_int
 from probtrack._threads import one_thread
 from probtrack.errors import InputError
-from probtrack.simulation.description import described, from_description, read_yaml
+from probtrack.simulation.description import described, from_description, made_with, read_yaml
+from probtrack.simulation.files_named import with_files_found
 from probtrack.simulation.rooms import ResponseCache
-from probtrack.simulation.scene_folder import save_scene, with_array_beside
+from probtrack.simulation.scene_folder import is_complete, save_scene
 from probtrack.simulation.scenes import Scene
 
-CONFIGURATION, MANIFEST = "dataset.yaml", "manifest.csv"
+CONFIGURATION, INPUTS, MANIFEST = "dataset.yaml", "inputs.yaml", "manifest.csv"
 """Files of a data set, beside its scene folders."""
 
 _COLUMNS = ("folder", "scene", "template", "seed", "snr_db", "num_talkers", "duration")
@@ -73,18 +76,14 @@ class DataSet:
 
 
 def load_data_set(path: str | Path) -> DataSet:
-    """Return the data set that a YAML file describes; array files are found from the file's folder too."""
-    content = read_yaml(path, "data set file")
-    if isinstance(content, dict) and isinstance(content.get("scenes"), list):
-        here = Path(path).resolve().parent
-        scenes = [with_array_beside(one, here) if isinstance(one, dict) else one for one in content["scenes"]]
-        content = content | {"scenes": scenes}
+    """Return the data set that a YAML file describes; files that it names are found from its folder too."""
+    content = with_files_found(read_yaml(path, "data set file"), Path(path).parent)
     return from_description(DataSet, content, path)
 
 
 def missing_scenes(data_set: DataSet, folder: Path) -> list[int]:
     """Return which scenes of the data set in `folder` are not complete; empty when all are there."""
-    return [i for i in range(data_set.count) if not all((folder / name).exists() for name in data_set.recordings(i))]
+    return [i for i in range(data_set.count) if not all(is_complete(folder / name) for name in data_set.recordings(i))]
 
 
 def make_data_set(data_set: DataSet, folder: str | Path, cache: Path | None, workers: int = 1) -> Iterator[int]:
@@ -139,7 +138,8 @@ def check_data_set_output(data_set: DataSet, folder: Path) -> None:
     path = folder / CONFIGURATION
     try:
         if path.exists():
-            difference = _difference(read_yaml(path, "data set file"), described(data_set))
+            there = {"": read_yaml(path, "data set file"), "inputs": read_yaml(folder / INPUTS, "inputs file")}
+            difference = _difference(there, {"": described(data_set), "inputs": _inputs(data_set)})
             if difference:
                 raise InputError(f"{folder}: holds another data set ({difference}): name another folder")
         elif folder.exists() and any(folder.iterdir()):
@@ -161,7 +161,15 @@ def _begin(data_set: DataSet, folder: Path) -> None:
         else:
             left.unlink(missing_ok=True)
     if not (folder / CONFIGURATION).exists():
+        _put(folder / INPUTS, yaml.safe_dump(_inputs(data_set), sort_keys=False, default_flow_style=None))
         _put(folder / CONFIGURATION, yaml.safe_dump(described(data_set), sort_keys=False, default_flow_style=None))
+
+
+def _inputs(data_set: DataSet) -> dict[str, object]:
+    """Return what the files depend on beside the configuration: versions, and what the array files hold."""
+    arrays = {scene.array: scene.load_array().positions.double() for scene in data_set.scenes}
+    places = {name: [[round(x, 6) for x in row] for row in rows.tolist()] for name, rows in arrays.items()}
+    return {"made_with": made_with(), "arrays": places}
 
 
 def _difference(there: object, here: object, name: str = "") -> str:
@@ -180,7 +188,7 @@ def _difference(there: object, here: object, name: str = "") -> str:
 
 def _make(data_set: DataSet, folder: Path, cache: Path | None, index: int) -> int:
     """Make what is missing of one scene: what is heard is worked out once for all ratios."""
-    todo = {name: scene for name, scene in data_set.recordings(index).items() if not (folder / name).exists()}
+    todo = {name: scene for name, scene in data_set.recordings(index).items() if not is_complete(folder / name)}
     try:
         heard = next(iter(todo.values())).listen(ResponseCache(cache) if cache is not None else None)
         for name, scene in todo.items():
@@ -228,6 +236,14 @@ def _become_worker(dtype: torch.dtype) -> None:
     torch.set_default_dtype(dtype)  # a fresh process has torch's own
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to deal with
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process once its parent was killed: it would work on unseen, beside a run that goes on."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _write_manifest(data_set: DataSet, folder: Path) -> None:
@@ -236,7 +252,7 @@ def _write_manifest(data_set: DataSet, folder: Path) -> None:
     writer.writerow(_COLUMNS)
     for index in range(data_set.count):
         for name, scene in data_set.recordings(index).items():
-            if (folder / name).exists():
+            if is_complete(folder / name):
                 template = index % len(data_set.scenes)
                 writer.writerow([name, index, template, scene.seed, scene.snr_db, scene.num_talkers, scene.duration])
     _put(folder / MANIFEST, text.getvalue())

@@ -1,6 +1,7 @@
 """Scenes as YAML, and back: whatever a file says is what a constructor takes."""
 
 import dataclasses
+import difflib
 import importlib.metadata
 import re
 from argparse import ArgumentError
@@ -78,6 +79,13 @@ def made_with() -> dict[str, str]:
     return versions
 
 
+def _unknown_class(found: re.Match[str]) -> str:
+    """Say that a class is not known, and which one may be meant."""
+    names = [str(member.__name__) for family in _CHOSEN for member in type.__subclasses__(family)]
+    near = difflib.get_close_matches(found[1], names, 1)
+    return f"expected the import path of a class, got {found[1]}" + (f" (do you mean {near[0]}?)" if near else "")
+
+
 def _plain(message: str) -> str:
     """Say an error of jsonargparse as where it is, what is wanted and what it got, in one line."""
     line = " ".join(message.split())
@@ -85,7 +93,7 @@ def _plain(message: str) -> str:
     line = re.sub(r'Parser key "it\.?([\w.]*)":', lambda key: f"{key[1]}:" if key[1] else "", line)
     line = re.sub(r'Parser key "([\w.]+)":', r"\1:", line)
     line = re.sub(r" Subclass types expect one of:.*", "", line)
-    line = re.sub(r"Expected a dot import path string: (\S+)", r"expected the import path of a class, got \1", line)
+    line = re.sub(r"Expected a dot import path string: (\S+)", _unknown_class, line)
     line = re.sub(r"(required: )it\.", r"\1", line)
     line = re.sub(r"Group '(?:it\.)?[\w.]*' does not accept option '([\w.]+)'", r"nothing is called '\1'", line)
     line = re.sub(r"Option '(?:it\.)?([\w.]+)' is not accepted", r"nothing is called '\1'", line)

@@ -23,7 +23,7 @@ _OVER_DIRECT = 3.5  # time of a scene over that of its direct sound: reflections
 _PER_RECORDING = 0.15  # s: noise, faults and files
 
 
-_Key = tuple[ShoeboxRoom, str, int, str]  # what the responses depend on
+_Key = tuple[ShoeboxRoom, str, int, str, int]  # what the responses depend on; the last is 0 where scenes share them
 
 
 class Estimate(NamedTuple):
@@ -66,25 +66,29 @@ def estimate(data_set: DataSet, folder: Path, cache: ResponseCache) -> Estimate:
         direct = _direct_seconds(template, array) * template.duration * template.num_talkers
         seconds += len(same) * (_OVER_DIRECT * direct + _DRAWN)
         if isinstance(template.room, ShoeboxRoom) and template.room.t60 > 0:
-            key: _Key = (template.room, template.array, template.fs, template.directivity)
-            rooms[key] = template, array
-            seeds = [next(iter(data_set.recordings(index).values())).seed for index in same]
-            ways = template.motions(seeds, _WAY_RATE).position
-            wanted.setdefault(key, set()).update(template.room.nodes(ways))
+            scenes = [next(iter(data_set.recordings(index).values())) for index in same]
+            ways = template.motions([scene.seed for scene in scenes], _WAY_RATE).position
+            for run, scene in enumerate(scenes):
+                apart = 1 + run if scene.faults.position_std > 0 else 0
+                key: _Key = (template.room, template.array, template.fs, template.directivity, apart)
+                rooms[key] = scene, scene.true_array()
+                wanted.setdefault(key, set()).update(template.room.nodes(ways[:, run]))
     scale = len(todo) / max(1, len(surveyed))
     more = min(scale, _MORE_PLACES)
-    places, place_bytes, place_seconds = 0, 0, 0.0
+    places, place_bytes, place_seconds = 0.0, 0.0, 0.0
     for key, (scene, array) in rooms.items():
         count, size, cost = _responses(scene, array, wanted[key], cache)
-        places, place_bytes, place_seconds = places + count, place_bytes + size, place_seconds + cost
+        times = scale if key[-1] else more
+        places, place_bytes = places + times * count, place_bytes + times * size
+        place_seconds += times * cost
     recordings = len(todo) * ratios
     return Estimate(
         recordings,
         data_set.count * ratios - recordings,
-        scale * seconds + recordings * _PER_RECORDING + more * place_seconds,
+        scale * seconds + recordings * _PER_RECORDING + place_seconds,
         round(scale * audio_bytes),
-        round(more * places),
-        round(more * place_bytes),
+        round(places),
+        round(place_bytes),
     )
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import soundfile
 import torch
@@ -17,6 +16,7 @@ from probtrack import audio
 from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray, Region
 from probtrack.simulation.description import described, from_description, made_with, read_yaml
+from probtrack.simulation.files_named import with_files_found
 from probtrack.simulation.scenes import Recording, Scene
 from probtrack.simulation.truth import save_scores
 from probtrack.track_files import TrackTable, read_tracks
@@ -25,7 +25,7 @@ AUDIO, ARRAY, TRUTH, SCENE = "audio.wav", "array.yaml", "truth.csv", "scene.yaml
 """Files of a scene folder."""
 
 _TRUE_ARRAY, _SCORES = "true_array.yaml", "voices.csv"
-_FILES = (AUDIO, ARRAY, TRUTH, SCENE, _TRUE_ARRAY, _SCORES)
+_FILES = (SCENE, AUDIO, ARRAY, TRUTH, _TRUE_ARRAY, _SCORES)
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,8 @@ class SceneFolder:
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Return the scene that a YAML file describes; an array file is found from the file's folder too."""
-    content = read_yaml(path, "scene file")
-    if isinstance(content, dict):
-        content = with_array_beside(content, Path(path).parent)
+    """Return the scene that a YAML file describes; files that it names are found from its folder too."""
+    content = with_files_found(read_yaml(path, "scene file"), Path(path).parent)
     return from_description(Scene, content, path)
 
 
@@ -87,11 +85,17 @@ def check_scene_output(folder: str | Path) -> None:
     """Raise `InputError` where `folder` holds something that is not a scene, before any work is done for it."""
     path = Path(folder)
     try:
-        free = not path.exists() or (path.is_dir() and (not any(path.iterdir()) or (path / SCENE).exists()))
+        ours = any((path / name).exists() for name in (SCENE, TRUTH))
+        free = not path.exists() or (path.is_dir() and (ours or not any(path.iterdir())))
     except OSError as error:
         raise InputError(f"{folder}: cannot write the scene: {error.strerror}") from None
     if not free:
         raise InputError(f"{folder}: is there already, and is not a scene: name another folder")
+
+
+def is_complete(folder: Path) -> bool:
+    """Return whether `folder` has all files of a scene, none of them empty."""
+    return all((folder / name).is_file() and (folder / name).stat().st_size > 0 for name in _FILES[:4])
 
 
 def save_scene(folder: str | Path, scene: Scene, recording: Recording) -> None:
@@ -121,12 +125,6 @@ def scene_text(scene: Scene) -> str:
     return f"# made with {versions}\n" + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 
-def with_array_beside(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the content of a scene file with the path of its array file, if that is in `folder`."""
-    beside = folder / str(content.get("array", ""))
-    return content | {"array": str(beside)} if beside.is_file() else content
-
-
 @contextmanager
 def _whole(folder: Path) -> Iterator[Path]:
     """Give a new folder to write to, which takes the place of `folder` when all is written."""
@@ -136,10 +134,11 @@ def _whole(folder: Path) -> Iterator[Path]:
         unfinished.mkdir(parents=True)
         yield unfinished
         if folder.exists():
-            for name in _FILES:
+            for name in _FILES:  # the description goes first and comes last: without it a folder is not complete
                 (folder / name).unlink(missing_ok=True)
-            for file in unfinished.iterdir():
-                file.replace(folder / file.name)
+            for name in reversed(_FILES):
+                if (unfinished / name).exists():
+                    (unfinished / name).replace(folder / name)
         else:
             unfinished.rename(folder)
     except (OSError, soundfile.SoundFileError) as error:

@@ -24,7 +24,9 @@ from probtrack.simulation.voices import Speech, Turns, TurnTaking, Voices
 
 _PEAK = 0.9  # of the loudest sample of a recording
 _PURPOSES = ("motion", "turns", "voices", "noise", "faults")
-_LONGEST = 600.0  # s; a scene is worked out as a whole, in memory
+_LONGEST = 600.0  # s
+_MOST = 40_000_000  # samples of all microphones: a scene is worked out as a whole, in about 3 GB then
+_LEVELS = 200.0  # dB
 
 
 class Recording(NamedTuple):
@@ -99,15 +101,21 @@ class Scene:
     fs: int = 16000
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.snr_db):
-            raise InputError(f"scene: snr_db must be finite, got {self.snr_db}")
+        if not -_LEVELS <= self.snr_db <= _LEVELS:
+            raise InputError(f"scene: snr_db must be from {-_LEVELS:g} to {_LEVELS:g}, got {self.snr_db}")
+        if not isinstance(self.noises, tuple):
+            raise InputError(f"scene: noises must be a list of noises, maybe empty, got {self.noises}")
+        for noise in self.noises:
+            if not -_LEVELS <= noise.level_db <= _LEVELS:
+                raise InputError(f"scene: level_db must be from {-_LEVELS:g} to {_LEVELS:g}, got {noise.level_db}")
         if not FRAME <= self.duration <= _LONGEST:
             raise InputError(f"scene: duration must be {FRAME} to {_LONGEST:g} s, got {self.duration}")
         if self.directivity not in ("speech", "omnidirectional"):
             raise InputError(f"scene: directivity must be speech or omnidirectional, got {self.directivity!r}")
         check_int(self.num_talkers, "scene: num_talkers", low=1)
         check_int(self.seed, "scene: seed", low=0)
-        check_int(self.fs, "scene: fs", low=8000)
+        if not 8000 <= check_int(self.fs, "scene: fs", low=8000) <= 96000:
+            raise InputError(f"scene: fs must be from 8000 to 96000 Hz, got {self.fs}")
 
     def load_array(self) -> MicrophoneArray:
         """Return the microphones as they are said to be."""
@@ -116,6 +124,10 @@ class Scene:
             raise InputError(f"{self.array}: a room needs microphones in three dimensions, got {array.axes}")
         written = [[round(x, 6) for x in row] for row in array.positions.tolist()]  # as its file will say them
         return MicrophoneArray(written, array.name)
+
+    def true_array(self) -> MicrophoneArray:
+        """Return the microphones where they really are."""
+        return self._displaced(self.load_array())
 
     def motion(self) -> Motion:
         """Return the motion of the talkers, T = duration * fs and batch (K,)."""
@@ -144,9 +156,19 @@ class Scene:
             InputError: for what cannot be: a talker outside the room, no speech to be found, ...
         """
         array = self.load_array()
-        true_array = self.faults.true_array(array, self._generator("faults"), self.room.region)
+        if array.num_microphones * self.duration * self.fs > _MOST:
+            longest = _MOST / (array.num_microphones * self.fs)
+            raise InputError(
+                f"scene: duration must be at most {longest:.0f} s with {array.num_microphones} microphones "
+                f"at {self.fs} Hz, got {self.duration}"
+            )
+        self.room.check_array(array)
+        true_array = self._displaced(array)
+        self.room.check_array(true_array)
         motion = self.motion()
         schedule = self.turns.draw(self.num_talkers, self.duration, self._generator("turns"))
+        if not any(schedule):
+            raise InputError(f"scene: turns must have an utterance within the duration of {self.duration} s")
         speech = self.voices.speak(schedule, duration=self.duration, fs=self.fs, seed=self._seed("voices"))
         directivity = SPEECH if self.directivity == "speech" else None
         clean = torch.zeros(array.num_microphones, motion.position.shape[0])
@@ -175,6 +197,9 @@ class Scene:
     def simulate(self, cache: ResponseCache | None = None) -> Recording:
         """Return the recording and its truth; see `listen` for what can be wrong."""
         return self.record(self.listen(cache))
+
+    def _displaced(self, array: MicrophoneArray) -> MicrophoneArray:
+        return self.faults.true_array(array, self._generator("faults"), self.room.region)
 
     def _seed(self, purpose: str) -> int:
         return _own_seed(self.seed, purpose)

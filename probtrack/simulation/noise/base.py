@@ -17,7 +17,7 @@ class Noise(ABC):
     A subclass is a frozen dataclass of plain values, so that a scene file can say it; among them is `level_db`.
     """
 
-    level_db: float
+    level_db: float = 0.0
 
     @abstractmethod
     def draw(

@@ -22,6 +22,10 @@ class Room(ABC):
         """Where a source can be, three axes [m]."""
 
     @abstractmethod
+    def check_array(self, array: MicrophoneArray) -> None:
+        """Raise `InputError` unless these microphones can be in the room."""
+
+    @abstractmethod
     def render(
         self,
         signal: Tensor,

@@ -92,6 +92,21 @@ class MeasuredRoom(Room):
         low, high = self.responses.positions.amin(0) - margin, self.responses.positions.amax(0) + margin
         return Region(tuple(low.tolist()), tuple(high.tolist()))
 
+    def check_array(self, array: MicrophoneArray) -> None:
+        own = self.array.positions
+        if array.positions.shape != own.shape:
+            raise InputError(
+                f"{self.path}: responses were measured with {len(own)} microphones on 3 axes, got "
+                f"{array.num_microphones} on {array.axes}"
+            )
+        off = torch.linalg.vector_norm(array.positions.to(own) - own, dim=-1)
+        if off.max() > _SAME:
+            k = int(off.argmax())
+            raise InputError(
+                f"{self.path}: responses were measured with microphone {k + 1} at {_metres(own[k])} and hold for no "
+                f"other place (position_std must be 0), got {_metres(array.positions[k])}"
+            )
+
     def render(
         self,
         signal: Tensor,
@@ -104,7 +119,7 @@ class MeasuredRoom(Room):
     ) -> Tensor:
         if motion.position.shape != (len(signal), 3):
             raise InputError(f"motion must have positions ({len(signal)}, 3), got {tuple(motion.position.shape)}")
-        self._check_array(array)
+        self.check_array(array)
         place = self._nearest(motion.position)
         return render_places(
             signal,
@@ -130,21 +145,6 @@ class MeasuredRoom(Room):
                 )
             nearest.append(number)
         return torch.cat(nearest)
-
-    def _check_array(self, array: MicrophoneArray) -> None:
-        own = self.array.positions
-        if array.positions.shape != own.shape:
-            raise InputError(
-                f"{self.path}: responses were measured with {len(own)} microphones on 3 axes, got "
-                f"{array.num_microphones} on {array.axes}"
-            )
-        off = torch.linalg.vector_norm(array.positions.to(own) - own, dim=-1)
-        if off.max() > _SAME:
-            k = int(off.argmax())
-            raise InputError(
-                f"{self.path}: responses were measured with microphone {k + 1} at {_metres(own[k])} and hold for no "
-                f"other place, got {_metres(array.positions[k])}"
-            )
 
 
 def _metres(position: Tensor) -> str:

@@ -58,9 +58,10 @@ class ShoeboxRoom(Room):
             raise InputError(f"room: size must be three positive lengths [m], got {self.size}")
         if not (math.isfinite(self.t60) and self.t60 >= 0):
             raise InputError(f"room: t60 must be finite and not negative, got {self.t60}")
-        for name in ("spacing", "speed_of_sound"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"room: {name} must be finite and positive, got {getattr(self, name)}")
+        if not (math.isfinite(self.spacing) and self.spacing >= 0.01):
+            raise InputError(f"room: spacing must be finite and at least 0.01 m, got {self.spacing}")
+        if not (math.isfinite(self.speed_of_sound) and self.speed_of_sound > 0):
+            raise InputError(f"room: speed_of_sound must be finite and positive, got {self.speed_of_sound}")
 
     @property
     def region(self) -> Region:
@@ -179,6 +180,9 @@ class ShoeboxRoom(Room):
         store = cache.store(self._key(array, fs, directivity))
         return [node for node in nodes if not store.has(node)]
 
+    def check_array(self, array: MicrophoneArray) -> None:
+        self.check_inside(array.positions, array.name + ": microphone")
+
     def check_inside(self, points: Tensor, what: str) -> None:
         """Raise `InputError` unless all of `points` (..., 3) are inside the room."""
         if points.shape[-1] != 3:
@@ -191,7 +195,7 @@ class ShoeboxRoom(Room):
     def _check_places(self, points: Tensor, array: MicrophoneArray, fs: int) -> None:
         check_int(fs, "fs", low=1)
         self.check_inside(points, "talker")
-        self.check_inside(array.positions, array.name + ": microphone")
+        self.check_array(array)
 
     def _check_sound(self, signal: Tensor, motion: Motion) -> None:
         if signal.ndim != 1 or len(signal) == 0:
