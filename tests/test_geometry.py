@@ -37,7 +37,7 @@ def test_av16_3_array_is_the_circle_of_its_corpus():
 
 
 def test_every_shipped_region_is_around_its_array():
-    assert set(shipped_arrays()) == {"lehmann2007", "av16.3-array1"}
+    assert set(shipped_arrays()) == {"lehmann2007", "fallon2006", "klaassen2005", "av16.3-array1"}
     for path in shipped_arrays().values():
         region = Region.from_yaml(path)
         assert region.contains(MicrophoneArray.from_yaml(path).positions).all()
