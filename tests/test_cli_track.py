@@ -288,7 +288,11 @@ def test_interruption_leaves_the_frames_so_far(scene):
     command = [sys.executable, "-c", "import sys; from probtrack.cli.main import main; sys.exit(main(sys.argv[1:]))"]
     arguments = ["track", "audio.wav", "--array", "array.yaml", "-o", "track.csv", "--num-particles", "2000"]
     process = subprocess.Popen(
-        [*command, *arguments], cwd=scene, stderr=subprocess.PIPE, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        [*command, *arguments],
+        cwd=scene,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run in the background
     )
     output = scene / "track.csv"
     while process.poll() is None and not (output.exists() and output.stat().st_size > 5000):

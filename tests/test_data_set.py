@@ -123,7 +123,13 @@ if __name__ == "__main__":
 def started(tmp_path, config, workers):
     (tmp_path / "program.py").write_text(PROGRAM)
     command = [sys.executable, str(tmp_path / "program.py"), config, str(tmp_path / "set"), str(tmp_path / "cache")]
-    return subprocess.Popen([*command, str(workers)], start_new_session=True, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [*command, str(workers)],
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run in the background
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def wait_for(folder, count):
