@@ -120,6 +120,13 @@ def test_an_image_is_a_band_limited_pulse():
         assert abs(complex(ratio.mean()) - complex(high_pass)) < 0.005  # as a whole the splitting takes nothing
 
 
+def test_reflections_fall_softly_towards_half_the_rate():
+    """Half a cosine from 0.45 to 0.5 of the rate: a steep end rings before and after every arrival."""
+    response = one_image(1.0)
+    gain = torch.stack([at_frequency(response, f * FS).abs() for f in (0.4, 0.475, 0.49, 0.5)])
+    torch.testing.assert_close(gain, torch.tensor([1.0, 0.5, 0.0955, 0.0]), rtol=0, atol=0.01)
+
+
 def test_reflections_have_no_constant_pressure():
     pytest.importorskip("pyroomacoustics")
     image = image_sources(SIZE, ROOM.absorption(FS), 20, 27.0, torch.tensor(PLACES))
