@@ -99,8 +99,8 @@ def test_a_dry_run_counts_responses_and_guesses_the_time(tmp_path, capsys, cache
     assert main(command) == 0
     took = time.perf_counter() - begin
     assert expected == pytest.approx(responses(cache), rel=0.1)
-    assert took / 4 < seconds + 0.5
-    assert seconds < 4 * took + 0.5
+    assert took / 8 < seconds + 0.5  # a guess of the right size, also on a busy machine
+    assert seconds < 8 * took + 0.5
     capsys.readouterr()
     assert main([*command[:-3], str(tmp_path / "again"), "--workers", "1", "--dry-run"]) == 0
     assert (

@@ -13,8 +13,19 @@ import pytest
 from quick_scenes import HARD, quick, two_talkers, write_data_set
 
 from probtrack.errors import InputError
-from probtrack.simulation import DataSet, SceneFolder, Truth, data_set, load_data_set, make_data_set, read_manifest
+from probtrack.simulation import (
+    DataSet,
+    Faults,
+    ResponseCache,
+    SceneFolder,
+    Truth,
+    data_set,
+    load_data_set,
+    make_data_set,
+    read_manifest,
+)
 from probtrack.simulation import save_scene as save
+from probtrack.simulation.estimate import estimate
 
 SHORT = quick(duration=1.65)
 ECHO = quick(room=HARD, duration=1.65)
@@ -337,3 +348,14 @@ def _alive(process):
     except OSError:
         return False
     return state != "Z"
+
+
+def test_an_estimate_knows_that_displaced_microphones_share_no_responses(tmp_path):
+    pytest.importorskip("pyroomacoustics")
+    hard = quick(room=HARD)
+    exact, moved = (
+        estimate(DataSet((dataclasses.replace(hard, faults=Faults(position_std=std)),), 4), tmp_path, cache)
+        for std, cache in ((0.0, ResponseCache(tmp_path / "a")), (0.01, ResponseCache(tmp_path / "b")))
+    )
+    assert moved.responses == 4 * exact.responses > 0
+    assert moved.response_bytes == 4 * exact.response_bytes

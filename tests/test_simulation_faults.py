@@ -132,3 +132,10 @@ def test_recordings_that_do_not_fit_are_said():
         Faults().apply(torch.full((2, 4), torch.nan), generator())
     with pytest.raises(InputError, match=r"audio must have shape \(M, S\)"):
         Faults().apply(torch.ones(4), generator())
+
+
+def test_a_small_error_moves_microphones_a_little():
+    stated = MicrophoneArray([[0.5, 0.5, 1.0], [1.0, 0.7, 1.2]])
+    true = Faults(position_std=1e-5).true_array(stated, torch.Generator().manual_seed(3))
+    error = (true.positions - stated.positions).abs()
+    assert 0 < error.max() < 1e-4
