@@ -8,9 +8,10 @@ import torch
 
 from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.geometry import MicrophoneArray, Region
+from probtrack.simulation import Motion
 from probtrack.simulation.noise import add_noise
 from probtrack.simulation.rooms import ShoeboxRoom
-from probtrack.simulation.trajectories import smooth_path
+from probtrack.simulation.trajectories import SmoothPaths
 from probtrack.trackers import lehmann2007
 from probtrack.trackers.lehmann2007 import Model
 from probtrack.tracks import join
@@ -27,7 +28,8 @@ REGION = Region((0.1, 0.2, 0.0), (3.4, 3.0, 2.2))
 def scene(array, way, seed=0):
     """Samples (M, n) of noise in bursts, spoken on the way, and the truth at the middle of each frame."""
     generator = torch.Generator().manual_seed(seed)
-    path = smooth_path(way, SECONDS, FS)
+    walks = SmoothPaths((way,)).draw([0], num_talkers=1, duration=SECONDS, rate=FS, region=Region((0, 0, 0), ROOM))
+    path = Motion(*(column[:, 0, 0] for column in walks))
     t = torch.arange(len(path.position)) / FS
     signal = torch.randn(len(t), generator=generator) * (0.02 + (t > 0.4)) * (1 + (torch.pi * 4 * t).sin())
     heard = ShoeboxRoom(ROOM, t60=0).render(signal, path, array, FS)

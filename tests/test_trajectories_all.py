@@ -32,6 +32,7 @@ TRAJECTORIES = {
     "switching": ModelWalk("moving-stopped"),
 }
 every = pytest.mark.parametrize("trajectories", TRAJECTORIES.values(), ids=TRAJECTORIES)
+drawn_by_law = pytest.mark.parametrize("name", ["social force", "Langevin", "acceleration", "curvilinear", "switching"])
 
 
 def drawn(trajectories, seeds=(3, 4, 5), **changes):
@@ -76,17 +77,17 @@ def test_run_depends_on_its_seed_alone(trajectories):
         torch.testing.assert_close(many[:, 1:2], one, rtol=0, atol=1e-9)  # products round by the size of a batch
 
 
-@pytest.mark.parametrize("name", ["social force", "Langevin", "curvilinear", "switching"])
+@drawn_by_law
 def test_seeds_and_talkers_differ(name):
     place = usual(TRAJECTORIES[name]).position[:, :, :, :2]
     assert (place[:, 0] - place[:, 1]).abs().amax(0).min() > 0.1
     assert (place[:, :, 0] - place[:, :, 1]).abs().amax(0).min() > 0.1
 
 
-@every
-def test_longer_walk_begins_like_a_shorter_one(trajectories):
-    if isinstance(trajectories, GivenPaths | SmoothPaths):
-        pytest.skip("a given way takes all of the duration")
+@drawn_by_law
+def test_longer_walk_begins_like_a_shorter_one(name):
+    """Given ways do not: they take all of the duration."""
+    trajectories = TRAJECTORIES[name]
     for long, short in zip(usual(trajectories), drawn(trajectories, duration=1.4), strict=True):
         torch.testing.assert_close(long[:420], short, rtol=0, atol=1e-9)
 

@@ -7,7 +7,7 @@ import torch
 
 from probtrack.errors import InputError
 from probtrack.geometry import Region, wrap_angle
-from probtrack.simulation.trajectories.paths import GivenPaths, SmoothPaths, smooth_path
+from probtrack.simulation.trajectories.paths import GivenPaths, SmoothPaths
 from probtrack.simulation.trajectories.turning import FacingPoint, InTurn, Turning, TurningTo, Waiting
 from probtrack.simulation.trajectories.ways import Arc, Standing, Through
 
@@ -130,8 +130,6 @@ def test_smooth_paths_are_given_paths():
     smooth = SmoothPaths((POINTS, LINE.points), ramp=0.5).draw([1], **arguments)
     given = GivenPaths((Through(POINTS, 0.5), Through(LINE.points, 0.5))).draw([1], **arguments)
     assert all(map(torch.equal, smooth, given))
-    single = smooth_path(POINTS, 4.0, 50.0, ramp=0.5)
-    assert torch.equal(single.position, smooth.position[:, 0, 0])
 
 
 @pytest.mark.parametrize(

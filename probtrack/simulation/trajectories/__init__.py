@@ -6,7 +6,6 @@ from probtrack.simulation.trajectories.papers import klaassen2005_ways as klaass
 from probtrack.simulation.trajectories.papers import lehmann2007_way as lehmann2007_way
 from probtrack.simulation.trajectories.paths import GivenPaths as GivenPaths
 from probtrack.simulation.trajectories.paths import SmoothPaths as SmoothPaths
-from probtrack.simulation.trajectories.paths import smooth_path as smooth_path
 from probtrack.simulation.trajectories.sampled import ModelWalk as ModelWalk
 from probtrack.simulation.trajectories.sampled import sample_paths as sample_paths
 from probtrack.simulation.trajectories.social_force import SocialForceWalk as SocialForceWalk

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from probtrack.errors import InputError
@@ -87,10 +86,3 @@ class SmoothPaths(Trajectories):
 
     def _given(self) -> GivenPaths:
         return GivenPaths(tuple(Through(points, self.ramp) for points in self.points))
-
-
-def smooth_path(points: Tensor | Sequence[Sequence[float]], duration: float, fs: float, *, ramp: float = 0.8) -> Motion:
-    """Return the motion (T, ...) through `points` (K, 3) [m] that takes `duration` [s], sampled at `fs` [Hz]."""
-    knots = torch.as_tensor(points, dtype=torch.float64).tolist()
-    way = Through(tuple(tuple(point) for point in knots), ramp)
-    return finished(*way.at(sample_times(duration, fs), duration))

@@ -29,7 +29,8 @@ class Turning(Way):
     rate: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_finite(start=self.start, rate=self.rate)
+        _check_finite("start", self.start)
+        _check_finite("rate", self.rate)
 
     def at(self, time: Tensor, duration: float) -> Motion:
         angle = self.start + self.rate * time
@@ -53,7 +54,9 @@ class TurningTo(Way):
     ramp: float = 0.3
 
     def __post_init__(self) -> None:
-        _check_finite(start=self.start, end=self.end, ramp=self.ramp)
+        _check_finite("start", self.start)
+        _check_finite("end", self.end)
+        _check_finite("ramp", self.ramp)
         if self.ramp < 0:
             raise InputError(f"ramp must not be negative, got {self.ramp}")
 
@@ -77,7 +80,8 @@ class FacingPoint(Way):
     def __post_init__(self) -> None:
         if len(self.point) != 2:
             raise InputError(f"point must be x and y [m], got {self.point}")
-        _check_finite(point_x=self.point[0], point_y=self.point[1])
+        for name, value in zip(("x of point", "y of point"), self.point, strict=True):
+            _check_finite(name, value)
 
     def at(self, time: Tensor, duration: float) -> Motion:
         motion = self.way.at(time, duration)
@@ -149,7 +153,6 @@ class Waiting(Way):
         return motion._replace(velocity=torch.where(moves[:, None], motion.velocity, 0.0))
 
 
-def _check_finite(**values: float) -> None:
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise InputError(f"{name} must be finite, got {value}")
+def _check_finite(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise InputError(f"{name} must be finite, got {value}")
