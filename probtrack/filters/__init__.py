@@ -1,5 +1,6 @@
 """Filters and smoothers: from observations to beliefs."""
 
+from probtrack.filters.cloud import Cloud as Cloud
 from probtrack.filters.kalman import Gaussian as Gaussian
 from probtrack.filters.kalman import KalmanResult as KalmanResult
 from probtrack.filters.kalman import LinearDynamics as LinearDynamics

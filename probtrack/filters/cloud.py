@@ -12,8 +12,24 @@ from probtrack.tracks import Track
 _NEAREST = 1e-12  # m: a particle nearer to the origin than that has no direction
 
 
-class Clouds(NamedTuple):
-    """Weighted clouds of some frames, kept until their means are taken together.
+class Cloud(NamedTuple):
+    """Weighted particles of a sequence of frames, time first: what losses are taken of.
+
+    Attributes:
+        state: Particles (T, *batch, N, D), before they are resampled.
+        log_weight: Normalised log weights (T, *batch, N).
+        log_evidence: log p(y_t | y_1:t-1) (T, *batch), 0 for lost frames.
+        lost: Whether no particle was possible (T, *batch) bool.
+    """
+
+    state: Tensor
+    log_weight: Tensor
+    log_evidence: Tensor
+    lost: Tensor
+
+
+class Frames(NamedTuple):
+    """Clouds frame by frame, as a filter makes them, kept until they are worked on together.
 
     Attributes:
         state: Particles (*batch, N, D) of each frame.
@@ -27,46 +43,46 @@ class Clouds(NamedTuple):
     joint: list[Tensor]
     lost: list[Tensor]
 
+    def together(self) -> Cloud:
+        """Return the frames with time as the first axis."""
+        log_weight, lost = _stacked(self.log_weight), _stacked(self.lost)
+        # the evidence is what log weights were normalised by, read off the largest ones: a second logsumexp would
+        # cost as much as all the rest
+        evidence = _stacked(self.joint).amax(-1) - log_weight.amax(-1)
+        # states lie in memory variables first: stacked like that, and turned without a copy
+        state = _stacked([state.movedim(-1, 0) for state in self.state]).movedim(1, -1)
+        return Cloud(state, log_weight, evidence.masked_fill(lost, 0.0), lost)
 
-def summary(clouds: Clouds, dynamics: Dynamics, origin: Tensor | None) -> Track:
-    """Return the track of `clouds`, with azimuths about `origin` (A,) if there is one; its time is zero."""
-    log_weight, lost = _stacked(clouds.log_weight), _stacked(clouds.lost)
-    weight = log_weight.exp()  # (T, *batch, N)
-    # states lie in memory variables first: stacked like that, and turned without a copy
-    states = _stacked([state.movedim(-1, 0) for state in clouds.state]).movedim(1, -1)
-    kinematics, mode = dynamics.kinematics(states), dynamics.mode(states)
-    mean = _mean(weight, kinematics.position)
-    variance = _mean(weight, (kinematics.position - mean[..., None, :]).square_())
+
+def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:
+    """Return the track of `cloud`, with azimuths about `origin` (A,) if there is one; its time is zero."""
+    weight = cloud.log_weight.exp()  # (T, *batch, N)
+    kinematics, mode = dynamics.kinematics(cloud.state), dynamics.mode(cloud.state)
+    mean = weighted_mean(weight, kinematics.position)
+    variance = weighted_mean(weight, (kinematics.position - mean[..., None, :]).square_())
     if kinematics.modelled_heading is None:
-        heading = _angle(_mean(weight, kinematics.velocity))
+        heading = _angle(weighted_mean(weight, kinematics.velocity))
     else:
         cosine, sine = kinematics.modelled_heading.cos(), kinematics.modelled_heading.sin()
-        heading = _angle(_mean(weight, torch.stack([cosine, sine], -1)))
+        heading = _angle(weighted_mean(weight, torch.stack([cosine, sine], -1)))
     azimuth, std_azimuth = None, None
     if origin is not None:
         offset = kinematics.position[..., :2] - origin[:2]
-        direction = _mean(weight, offset * offset.square().sum(-1, keepdim=True).clamp_min(_NEAREST**2).rsqrt())
+        unit = offset * offset.square().sum(-1, keepdim=True).clamp_min(_NEAREST**2).rsqrt()
+        direction = weighted_mean(weight, unit)
         azimuth, std_azimuth = _angle(direction), _circular_std(direction)
     return Track(
-        time=log_weight.new_zeros(len(lost)),
+        time=weight.new_zeros(len(weight)),
         position=mean,
         std=variance.sqrt(),
         heading=heading,
-        ess=1 / _mean(weight, weight[..., None])[..., 0],
-        log_evidence=_evidence(clouds, log_weight).masked_fill(lost, 0.0),
-        lost=lost,
+        ess=1 / weighted_mean(weight, weight[..., None])[..., 0],
+        log_evidence=cloud.log_evidence,
+        lost=cloud.lost,
         azimuth=azimuth,
         std_azimuth=std_azimuth,
-        mode=None if mode is None else _mean(weight, mode),
+        mode=None if mode is None else weighted_mean(weight, mode),
     )
-
-
-def _evidence(clouds: Clouds, log_weight: Tensor) -> Tensor:
-    """Return what the log weights (T, *batch, N) were normalised by, read off the largest ones.
-
-    A second logsumexp would cost as much as all the rest of the summary.
-    """
-    return _stacked(clouds.joint).amax(-1) - log_weight.amax(-1)
 
 
 def _stacked(frames: list[Tensor]) -> Tensor:
@@ -74,7 +90,7 @@ def _stacked(frames: list[Tensor]) -> Tensor:
     return torch.stack(frames) if len(frames) > 1 else frames[0][None]
 
 
-def _mean(weight: Tensor, values: Tensor) -> Tensor:
+def weighted_mean(weight: Tensor, values: Tensor) -> Tensor:
     """Return the means (..., J) of `values` (..., N, J) with `weight` (..., N)."""
     if weight.ndim == 2:
         return (values.mT @ weight[..., None])[..., 0]

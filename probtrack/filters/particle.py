@@ -1,7 +1,7 @@
 """The bootstrap particle filter, Algorithm 1 of S1, batched over runs and recordings."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from probtrack._checks import check_event, check_int
 from probtrack.dynamics import Dynamics, Kinematics, Move
 from probtrack.errors import InputError, NotFiniteError, ShapeError
-from probtrack.filters.cloud import Clouds, summary
+from probtrack.filters.cloud import Cloud, Frames, track_of
 from probtrack.filters.noise import NoiseStream
 from probtrack.filters.resampling import Adaptive, Resampler, systematic
 from probtrack.geometry import Region
@@ -102,52 +102,79 @@ class ParticleFilter(nn.Module):
         log_weight = position.new_full(position.shape[:-1], -math.log(self.num_particles))
         return Belief(state, log_weight, log_weight.new_zeros(log_weight.shape[:-1]))
 
-    def forward(self, observations: Any, initial: Belief, dt: float, noise: NoiseStream) -> Track:
+    def forward(self, observations: Any, initial: Belief, dt: float | Tensor, noise: NoiseStream) -> Track:
         """Return the track of a whole sequence from the cloud `initial` before its first frame."""
         return self.advance(initial, observations, dt, noise)[1]
 
     def step(self, belief: Belief, observation: Any, dt: float, noise: NoiseStream) -> tuple[Belief, Track]:
         """Return the belief after one more frame, and its track of length one."""
-        return self.advance(belief, _with_time_axis(observation), dt, noise)
+        return self.advance(belief, with_time_axis(observation), dt, noise)
 
-    def advance(self, belief: Belief, observations: Any, dt: float, noise: NoiseStream) -> tuple[Belief, Track]:
+    def advance(
+        self, belief: Belief, observations: Any, dt: float | Tensor, noise: NoiseStream
+    ) -> tuple[Belief, Track]:
         """Return the belief after a block of frames and the track over it, `dt` [s] a frame.
 
-        However a sequence is cut into blocks, clouds are the same, and their means but for rounding.
+        However a sequence is cut into blocks, clouds are the same, and their means but for rounding. `dt` is one
+        number, or the time from the frame before for each frame (T,) or for each frame and run (T, *batch).
 
         Raises:
             InputError: for a time step that is not positive, or no frame.
             ShapeError: for a belief of other sizes than the filter's or the noise's.
             NotFiniteError: if a likelihood is NaN or infinite.
         """
-        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
-            raise InputError(f"dt must be a positive number of seconds, got {dt}")
+        pieces, last = [], belief
+        for state, log_weight, frames in self._blocks(belief, observations, dt, noise):
+            pieces.append(track_of(frames.together(), self.dynamics, self.origin))
+            last = Belief(state, log_weight, last.log_evidence)
+        track = join(pieces)
+        evidence = belief.log_evidence + track.log_evidence.sum(0)
+        return last._replace(log_evidence=evidence), track._replace(time=_times(dt, track.num_frames, belief.state))
+
+    def run(self, belief: Belief, observations: Any, dt: float | Tensor, noise: NoiseStream) -> tuple[Belief, Cloud]:
+        """Return the belief after a block of frames and the clouds of all its frames, for losses and for training.
+
+        As `advance`, which keeps no more than the means: the clouds of T frames of N particles take T N D numbers.
+        """
+        blocks = list(self._blocks(belief, observations, dt, noise, at_once=True))
+        state, log_weight, frames = blocks[-1]
+        cloud = frames.together()
+        return Belief(state, log_weight, belief.log_evidence + cloud.log_evidence.sum(0)), cloud
+
+    def _blocks(
+        self, belief: Belief, observations: Any, dt: float | Tensor, noise: NoiseStream, *, at_once: bool = False
+    ) -> Iterator[tuple[Tensor, Tensor, Frames]]:
+        """Yield the last cloud and all clouds of some frames at a time, as many as fit a cache, or of all `at_once`."""
         check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
         _check_batch(belief, noise.batch)
-        prepared = list(_frames(self.likelihood.prepare(observations)))
+        prepared = list(frames_of(self.likelihood.prepare(observations)))
         if not prepared:
             raise InputError("observations hold no frame")
-        frames_at_once = max(1, _CHUNK // max(1, belief.log_weight.numel()))
-        pieces = []
+        _check_time_step(dt, len(prepared), noise.batch)
+        size = len(prepared) if at_once else max(1, _CHUNK // max(1, belief.log_weight.numel()))
         state, log_weight = belief.state, belief.log_weight
-        moves = iter(self.dynamics.moves(observations, dt))
-        for start in range(0, len(prepared), frames_at_once):
-            frames = prepared[start : start + frames_at_once]
-            state, log_weight, clouds = self._run(state, log_weight, frames, moves, noise)
-            pieces.append(summary(clouds, self.dynamics, self.origin))
-        track = join(pieces)
-        time = dt * torch.arange(track.num_frames, dtype=state.dtype, device=state.device)
-        evidence = belief.log_evidence + track.log_evidence.sum(0)
-        return Belief(state, log_weight, evidence), track._replace(time=time)
+        moves = iter(self._moves(observations, dt))
+        for start in range(0, len(prepared), size):
+            state, log_weight, frames = self._run(state, log_weight, prepared[start : start + size], moves, noise)
+            yield state, log_weight, frames
+
+    def _moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
+        """Return the step into each frame; one of its own for each where time steps differ."""
+        if not isinstance(dt, Tensor) or dt.ndim == 0:
+            return self.dynamics.moves(observations, dt)
+        return (
+            next(iter(self.dynamics.moves(with_time_axis(frame), _one_step(step))))
+            for frame, step in zip(frames_of(observations), dt.unbind(0), strict=True)
+        )
 
     def _run(
         self, state: Tensor, log_weight: Tensor, frames: Sequence[Any], moves: Iterator[Move], noise: NoiseStream
-    ) -> tuple[Tensor, Tensor, Clouds]:
+    ) -> tuple[Tensor, Tensor, Frames]:
         """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one."""
         # looked up once: nn.Module finds its parts slowly, and this loop is the whole cost of a small filter
         likelihood, kinematics, resample = self.likelihood, self.dynamics.kinematics, self.resample
         none_lost = torch.zeros(log_weight.shape[:-1], dtype=torch.bool, device=log_weight.device)
-        clouds = Clouds([], [], [], [])
+        clouds = Frames([], [], [], [])
         for observation, move in zip(frames, moves, strict=False):  # there may be more moves than frames
             normal, uniform = noise.frame()
             state, correction = move(state, normal)  # step 1, prediction
@@ -188,14 +215,40 @@ def _check_batch(belief: Belief, batch: tuple[int, ...]) -> None:
         )
 
 
-def _frames(observations: Any) -> Iterator[Any]:
+def _check_time_step(dt: float | Tensor, frames: int, batch: tuple[int, ...]) -> None:
+    if isinstance(dt, Tensor) and dt.ndim > 0:
+        if dt.shape not in ((frames,), (frames, *batch)):
+            raise ShapeError(f"dt must be one number or have shape ({frames}, *{batch}), got {tuple(dt.shape)}")
+        bad = ~(dt.isfinite() & (dt > 0))
+        if bad.any():
+            frame = int(bad.nonzero()[0, 0])
+            raise InputError(f"dt must be positive seconds, got {dt[frame].tolist()} into frame {frame}")
+    elif not (isinstance(dt, (int, float, Tensor)) and math.isfinite(dt) and dt > 0):
+        raise InputError(f"dt must be a positive number of seconds, got {dt}")
+
+
+def _one_step(dt: Tensor) -> float | Tensor:
+    """Return the time step of a frame as one number if all runs share it, else one for each run's particles."""
+    return dt.flatten()[0].item() if (dt == dt.flatten()[0]).all() else dt[..., None]
+
+
+def _times(dt: float | Tensor, frames: int, like: Tensor) -> Tensor:
+    """Return the times of frames (T,) from the first one on [s]; those of the first run where runs differ."""
+    if isinstance(dt, Tensor) and dt.ndim > 0:
+        steps = dt.reshape(frames, -1)[:, 0].to(like)
+        return steps.cumsum(0) - steps[0]
+    return dt * torch.arange(frames, dtype=like.dtype, device=like.device)
+
+
+def frames_of(observations: Any) -> Iterator[Any]:
     """Yield the frames of a tensor (T, ...) or a NamedTuple of such tensors."""
     if isinstance(observations, Tensor):
         return iter(observations.unbind(0))
     return (type(observations)(*columns) for columns in zip(*(x.unbind(0) for x in observations), strict=True))
 
 
-def _with_time_axis(observation: Any) -> Any:
+def with_time_axis(observation: Any) -> Any:
+    """Return one frame of observations as a sequence of one."""
     if isinstance(observation, Tensor):
         return observation[None]
     return type(observation)(*(x[None] for x in observation))
