@@ -1,6 +1,6 @@
-"""Scenes on disk as batches to train and test trackers with.
+"""Training: data as batches, losses, and what turns both into better parameters.
 
-`SceneDataModule` needs Lightning (extra `train`), which is imported when it is first named.
+What needs Lightning (extra `train`) is imported when it is first named.
 """
 
 import importlib
@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Any
 from probtrack.training.batches import SceneBatch as SceneBatch
 from probtrack.training.batches import SceneSampler as SceneSampler
 from probtrack.training.batches import collate as collate
+from probtrack.training.losses import CloudLikelihood as CloudLikelihood
+from probtrack.training.losses import Loss as Loss
+from probtrack.training.losses import NegativeLogEvidence as NegativeLogEvidence
+from probtrack.training.losses import Outcome as Outcome
+from probtrack.training.losses import SquaredError as SquaredError
+from probtrack.training.losses import WeightedSum as WeightedSum
 from probtrack.training.observation_files import ObservationFiles as ObservationFiles
 from probtrack.training.observation_files import front_end_key as front_end_key
+from probtrack.training.physical import physical as physical
+from probtrack.training.physical import physical_values as physical_values
 from probtrack.training.scene_data import FrameGrid as FrameGrid
 from probtrack.training.scene_data import SceneDataset as SceneDataset
 from probtrack.training.scene_data import SceneItem as SceneItem
@@ -21,9 +29,13 @@ from probtrack.training.truth_at import truth_at as truth_at
 
 if TYPE_CHECKING:
     from probtrack.training.data_module import SceneDataModule as SceneDataModule
+    from probtrack.training.fit import Fit as Fit
+
+
+_LIGHTNING = {"SceneDataModule": "data_module", "Fit": "fit"}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "SceneDataModule":
-        return importlib.import_module("probtrack.training.data_module").SceneDataModule
+    if name in _LIGHTNING:
+        return getattr(importlib.import_module(f"probtrack.training.{_LIGHTNING[name]}"), name)
     raise AttributeError(f"module 'probtrack.training' has no attribute {name!r}")

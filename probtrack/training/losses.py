@@ -1,0 +1,132 @@
+"""What training makes small: the evidence of a model, or the errors of what a filter says with it."""
+
+import abc
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from probtrack._checks import as_positive
+from probtrack.dynamics import Kinematics
+from probtrack.errors import InputError
+from probtrack.filters import Cloud
+
+
+class Outcome(NamedTuple):
+    """What a filter made of some sequences, and the truth beside it, time first.
+
+    Attributes:
+        cloud: Weighted particles of every frame (T, *batch, N, D).
+        kinematics: What they mean: positions (T, *batch, N, A) [m].
+        truth: True positions (T, *batch, A) [m]; None where nobody knows them.
+        known: Whether the truth says anything of a frame (T, *batch) bool; None where there is no truth.
+    """
+
+    cloud: Cloud
+    kinematics: Kinematics
+    truth: Tensor | None = None
+    known: Tensor | None = None
+
+
+class Loss(abc.ABC):
+    """What is made small."""
+
+    @abc.abstractmethod
+    def __call__(self, outcome: Outcome) -> Tensor:
+        """Return the loss of each run (*batch), a mean over its frames.
+
+        Raises:
+            InputError: for a loss that wants the truth where there is none.
+        """
+
+
+@dataclass(frozen=True)
+class NegativeLogEvidence(Loss):
+    r"""Unlikeliness of what was observed, a frame: :math:`-\frac1T \log p(y_{1:T})`.
+
+    The exponential of the estimate has the exact evidence as its mean, so that the loss is above the exact one, by half
+    the variance of its logarithm.
+    """
+
+    def __call__(self, outcome: Outcome) -> Tensor:
+        return -outcome.cloud.log_evidence.mean(0)
+
+
+@dataclass(frozen=True)
+class CloudLikelihood(Loss):
+    r"""Unlikeliness of the true position under the cloud, taken for a mixture of Gaussian laws:
+
+    .. math:: -\log \sum_n w_t^{(n)} \mathcal N(\ell_t; \ell_t^{(n)}, h^2 I) .
+
+    Unlike a squared error it rewards a cloud that knows how far it may be wrong, and is finite for a lost one.
+
+    Args:
+        std: h, the width of the law around each particle [m].
+
+    References:
+        A. Younis, E. Sudderth, "Differentiable and stable long-range tracking of multiple posterior modes", NeurIPS
+        2023: the negative log likelihood of the truth as the loss of a particle filter.
+    """
+
+    std: float = 0.1
+
+    def __post_init__(self) -> None:
+        as_positive(self.std, "std")
+
+    def __call__(self, outcome: Outcome) -> Tensor:
+        truth, known = _truth(outcome)
+        error = (outcome.kinematics.position - truth[..., None, :]) / self.std
+        log_kernel = -0.5 * error.square().sum(-1) - truth.shape[-1] * math.log(self.std * math.sqrt(2 * math.pi))
+        return _mean(-(outcome.cloud.log_weight + log_kernel).logsumexp(-1), known)
+
+
+@dataclass(frozen=True)
+class SquaredError(Loss):
+    r"""Squared distance of the estimate from the truth :math:`\lVert \hat\ell_t - \ell_t \rVert^2` [m^2].
+
+    References:
+        S1 eq. 7, whose square root is S1's RMSE, and eq. 33.
+    """
+
+    def __call__(self, outcome: Outcome) -> Tensor:
+        truth, known = _truth(outcome)
+        estimate = (outcome.cloud.log_weight.exp()[..., None] * outcome.kinematics.position).sum(-2)
+        return _mean((estimate - truth).square().sum(-1), known)
+
+
+@dataclass(frozen=True)
+class WeightedSum(Loss):
+    """Several losses at once.
+
+    Args:
+        losses: What is summed.
+        weights: What each is multiplied by, finite.
+    """
+
+    losses: Sequence[Loss]
+    weights: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.losses) != len(self.weights) or not self.losses:
+            raise InputError(f"weights must be one for each loss, got {len(self.weights)} for {len(self.losses)}")
+        if not all(map(math.isfinite, self.weights)):
+            raise InputError(f"weights must be finite, got {list(self.weights)}")
+
+    def __call__(self, outcome: Outcome) -> Tensor:
+        terms = [weight * loss(outcome) for loss, weight in zip(self.losses, self.weights, strict=True)]
+        return torch.stack(terms).sum(0)
+
+
+def _truth(outcome: Outcome) -> tuple[Tensor, Tensor]:
+    if outcome.truth is None or outcome.known is None:
+        raise InputError("this loss compares with the true position, and the data have none")
+    return outcome.truth, outcome.known
+
+
+def _mean(values: Tensor, known: Tensor) -> Tensor:
+    """Return the means (*batch) of `values` (T, *batch) over the frames that are known, 0 where none is."""
+    # selected, not multiplied: what stands where nothing is known may be anything, NaN too
+    return torch.where(known, values, 0.0).sum(0) / known.sum(0).clamp_min(1)
