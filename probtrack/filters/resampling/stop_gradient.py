@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from probtrack.filters.resampling.base import Resampler
+from probtrack.filters.resampling.base import Copying, copied
 
 
 @dataclass(frozen=True)
-class StopGradient(Resampler):
+class StopGradient(Copying):
     r"""A scheme whose copies keep the gradient of the weight they were drawn by:
 
     .. math:: w' = \frac{1}{N} \frac{w}{\bar w}, \qquad \bar w = w \text{ as a constant} .
@@ -26,16 +25,14 @@ class StopGradient(Resampler):
         2021, section 4.
     """
 
-    resampler: Resampler
+    resampler: Copying
 
     def num_uniforms(self, num_particles: int) -> int:
         return self.resampler.num_uniforms(num_particles)
 
-    def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+    def draw(self, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+        ancestors, weights = self.resampler.draw(log_weight, uniforms)
         if not log_weight.requires_grad:
-            return self.resampler(state, log_weight, uniforms)
-        # drawn along with the particle: zero in value, and one more variable, first in memory like the others
-        mark = log_weight - log_weight.detach()
-        marked = torch.cat([state.movedim(-1, 0), mark[None]]).movedim(0, -1)
-        drawn, equal = self.resampler(marked, log_weight, uniforms)
-        return drawn[..., :-1], equal + drawn[..., -1]
+            return ancestors, weights
+        drawn = copied(log_weight[None], ancestors)[0]
+        return ancestors, weights + (drawn - drawn.detach())
