@@ -183,11 +183,17 @@ class Region:
 
         Every point stands for the same share of the region, so that a mean over them is a mean over it.
         """
-        sizes = [high - low for low, high in zip(self.low, self.high, strict=True)]
-        cell = (self.volume / check_int(num_points, "num_points", low=1)) ** (1 / self.axes)
-        steps = [max(1, round(size / cell)) for size in sizes]
-        ticks = [(torch.arange(n) + 0.5) / n for n in steps]
+        ticks = [(torch.arange(n) + 0.5) / n for n in self._steps(num_points)]
         return self.from_unit(torch.stack(torch.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, self.axes))
+
+    def cell_size(self, num_points: int) -> Tensor:
+        """Return the edges (A,) of a cell of that grid [m]."""
+        edges = zip(self.low, self.high, self._steps(num_points), strict=True)
+        return torch.tensor([(high - low) / steps for low, high, steps in edges])
+
+    def _steps(self, num_points: int) -> list[int]:
+        cell = (self.volume / check_int(num_points, "num_points", low=1)) ** (1 / self.axes)
+        return [max(1, round((high - low) / cell)) for low, high in zip(self.low, self.high, strict=True)]
 
     def plane(self) -> "Region":
         """Return the region seen from above: its x and y axes."""

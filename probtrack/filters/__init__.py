@@ -12,6 +12,7 @@ from probtrack.filters.noise import FrameNoise as FrameNoise
 from probtrack.filters.noise import NoiseStream as NoiseStream
 from probtrack.filters.particle import Belief as Belief
 from probtrack.filters.particle import ParticleFilter as ParticleFilter
+from probtrack.filters.relocation import Relocation as Relocation
 from probtrack.filters.resampling import Adaptive as Adaptive
 from probtrack.filters.resampling import Resampler as Resampler
 from probtrack.filters.resampling import StopGradient as StopGradient

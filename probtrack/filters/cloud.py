@@ -20,12 +20,15 @@ class Cloud(NamedTuple):
         log_weight: Normalised log weights (T, *batch, N).
         log_evidence: log p(y_t | y_1:t-1) (T, *batch), 0 for lost frames.
         lost: Whether no particle was possible (T, *batch) bool.
+        log_proposal: Log probability with which a proposal drew each particle as it did (T, *batch, N), with the
+            gradient of the proposal; None without one, or where gradients are not asked for.
     """
 
     state: Tensor
     log_weight: Tensor
     log_evidence: Tensor
     lost: Tensor
+    log_proposal: Tensor | None = None
 
 
 class Frames(NamedTuple):
@@ -36,12 +39,14 @@ class Frames(NamedTuple):
         log_weight: Normalised log weights (*batch, N).
         joint: Log weights before they were normalised (*batch, N).
         lost: Whether no particle was possible (*batch).
+        log_proposal: As in `Cloud`, empty where there is none.
     """
 
     state: list[Tensor]
     log_weight: list[Tensor]
     joint: list[Tensor]
     lost: list[Tensor]
+    log_proposal: list[Tensor]
 
     def together(self) -> Cloud:
         """Return the frames with time as the first axis."""
@@ -51,7 +56,8 @@ class Frames(NamedTuple):
         evidence = _stacked(self.joint).amax(-1) - log_weight.amax(-1)
         # states lie in memory variables first: stacked like that, and turned without a copy
         state = _stacked([state.movedim(-1, 0) for state in self.state]).movedim(1, -1)
-        return Cloud(state, log_weight, evidence.masked_fill(lost, 0.0), lost)
+        proposal = _stacked(self.log_proposal) if self.log_proposal else None
+        return Cloud(state, log_weight, evidence.masked_fill(lost, 0.0), lost, proposal)
 
 
 def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:

@@ -1,5 +1,6 @@
 """The bootstrap particle filter, Algorithm 1 of S1, batched over runs and recordings."""
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from probtrack.dynamics import Dynamics, Kinematics, Move
 from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.filters.cloud import Cloud, Frames, track_of
 from probtrack.filters.noise import NoiseStream
+from probtrack.filters.relocation import Relocate, Relocation
 from probtrack.filters.resampling import Adaptive, Resampler, systematic
 from probtrack.geometry import Region
 from probtrack.likelihoods import Likelihood
@@ -53,6 +55,7 @@ class ParticleFilter(nn.Module):
         resample: What happens to the cloud after each frame; S1's by default: systematic, on
             N_eff < 0.75 N.
         origin: Point (A,) that azimuths are seen from [m]; none are given without it.
+        relocation: How a lost talker is found again, for a likelihood with an `evidence_map`; not at all if None.
 
     Shape:
         observations (T, *batch, ...), one tensor or a NamedTuple of them, batch axes of size 1 are shared;
@@ -72,9 +75,10 @@ class ParticleFilter(nn.Module):
         num_particles: int = 75,
         resample: Resampler | None = None,
         origin: Tensor | None = None,
+        relocation: Relocation | None = None,
     ) -> None:
         super().__init__()
-        self.dynamics, self.likelihood = dynamics, likelihood
+        self.dynamics, self.likelihood, self.relocation = dynamics, likelihood, relocation
         self.num_particles = check_int(num_particles, "num_particles", low=1)
         self.resample = Adaptive(systematic) if resample is None else resample
         self.register_buffer("origin", origin, persistent=False)
@@ -83,9 +87,10 @@ class ParticleFilter(nn.Module):
         """Return the random numbers of runs with `seeds` (*batch), for this filter's sizes."""
         like = next((p for p in self.parameters() if p.is_floating_point()), torch.empty(()))
         uniforms = self.resample.num_uniforms(self.num_particles)
-        return NoiseStream(
-            seeds, self.num_particles, self.dynamics.noise_dim, uniforms, dtype=like.dtype, device=like.device
-        )
+        normals = self.dynamics.noise_dim
+        if self.relocation is not None:
+            normals += self.relocation.noise_dim(self.dynamics.axes)
+        return NoiseStream(seeds, self.num_particles, normals, uniforms, dtype=like.dtype, device=like.device)
 
     def spread_over(self, region: Region, noise: NoiseStream, speed: float = 0.5) -> Belief:
         """Return a cloud uniform over `region`, moving at `speed` [m/s] r.m.s. on each axis."""
@@ -147,15 +152,17 @@ class ParticleFilter(nn.Module):
         """Yield the last cloud and all clouds of some frames at a time, as many as fit a cache, or of all `at_once`."""
         check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
         _check_batch(belief, noise.batch)
-        prepared = list(frames_of(self.likelihood.prepare(observations)))
+        whole = self.likelihood.prepare(observations)
+        prepared = list(frames_of(whole))
         if not prepared:
             raise InputError("observations hold no frame")
         _check_time_step(dt, len(prepared), noise.batch)
         size = len(prepared) if at_once else max(1, _CHUNK // max(1, belief.log_weight.numel()))
         state, log_weight = belief.state, belief.log_weight
         moves = iter(self._moves(observations, dt))
+        steps = zip(self._relocations(whole, observations, dt), moves, strict=False)
         for start in range(0, len(prepared), size):
-            state, log_weight, frames = self._run(state, log_weight, prepared[start : start + size], moves, noise)
+            state, log_weight, frames = self._run(state, log_weight, prepared[start : start + size], steps, noise)
             yield state, log_weight, frames
 
     def _moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
@@ -167,25 +174,51 @@ class ParticleFilter(nn.Module):
             for frame, step in zip(frames_of(observations), dt.unbind(0), strict=True)
         )
 
+    def _relocations(self, prepared: Any, observations: Any, dt: float | Tensor) -> Iterator[Relocate | None]:
+        """Return what comes before the step into each frame."""
+        if self.relocation is None:
+            return itertools.repeat(None)
+        evidence = self.likelihood.evidence_map(prepared)
+        if evidence is None:
+            raise InputError(
+                f"relocation needs a likelihood with an evidence_map, {type(self.likelihood).__name__} has none"
+            )
+        steps: Iterator[Relocate] = self.relocation(self.dynamics, evidence, getattr(observations, "speech", None), dt)
+        return steps
+
     def _run(
-        self, state: Tensor, log_weight: Tensor, frames: Sequence[Any], moves: Iterator[Move], noise: NoiseStream
+        self,
+        state: Tensor,
+        log_weight: Tensor,
+        frames: Sequence[Any],
+        steps: Iterator[tuple[Relocate | None, Move]],
+        noise: NoiseStream,
     ) -> tuple[Tensor, Tensor, Frames]:
         """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one."""
         # looked up once: nn.Module finds its parts slowly, and this loop is the whole cost of a small filter
         likelihood, kinematics, resample = self.likelihood, self.dynamics.kinematics, self.resample
         none_lost = torch.zeros(log_weight.shape[:-1], dtype=torch.bool, device=log_weight.device)
-        clouds = Frames([], [], [], [])
-        for observation, move in zip(frames, moves, strict=False):  # there may be more moves than frames
+        motion_noise = self.dynamics.noise_dim
+        clouds = Frames([], [], [], [], [])
+        for observation, (relocate, move) in zip(frames, steps, strict=False):  # there may be more steps than frames
             normal, uniform = noise.frame()
+            predicted = log_weight
+            if relocate is not None:
+                rest = normal.shape[-1] - motion_noise
+                state, relocated, log_proposal = relocate(state, normal.narrow(-1, motion_noise, rest))
+                predicted, normal = predicted + relocated, normal.narrow(-1, 0, motion_noise)
+                if log_proposal is not None:
+                    clouds.log_proposal.append(log_proposal)
             state, correction = move(state, normal)  # step 1, prediction
-            predicted = log_weight if correction is None else log_weight + correction
+            predicted = predicted if correction is None else predicted + correction
             joint = predicted + likelihood(observation, kinematics(state))  # step 2, update
             log_weight, lost = torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
             first = log_weight[..., 0]
             if math.isnan((first.sum() if first.ndim else first).item()):
                 # a corrected weight sums to 1 in expectation only
-                joint, log_weight, lost = _kept(joint, predicted if correction is None else predicted.log_softmax(-1))
+                corrected = relocate is not None or correction is not None
+                joint, log_weight, lost = _kept(joint, predicted.log_softmax(-1) if corrected else predicted)
             clouds.state.append(state)
             clouds.log_weight.append(log_weight)
             clouds.joint.append(joint)

@@ -10,7 +10,7 @@ from probtrack._checks import as_positive, check_int
 from probtrack.dynamics import Kinematics
 from probtrack.errors import InputError
 from probtrack.geometry import Region
-from probtrack.likelihoods.base import Likelihood
+from probtrack.likelihoods.base import EvidenceMap, Likelihood
 
 _SMALLEST_POWER = 1e-6  # of 1: interpolated power may fall below 0 by rounding; powers of it must not be NaN
 
@@ -45,11 +45,13 @@ class PreparedPower(NamedTuple):
         gcc: Pair correlations (T, *batch, P, K).
         clutter: Density of a clutter measurement, q_0 / |D|, (T, *batch, 1).
         target: What multiplies P^r, gamma (1 - q_0), (T, *batch, 1).
+        on_grid: Power at the points of the grid (T, *batch, G).
     """
 
     gcc: Tensor
     clutter: Tensor
     target: Tensor
+    on_grid: Tensor
 
 
 class SteeredPowerLikelihood(Likelihood):
@@ -82,6 +84,8 @@ class SteeredPowerLikelihood(Likelihood):
 
     low: Tensor
     high: Tensor
+    cells: Tensor
+    cell_size: Tensor
 
     def __init__(
         self,
@@ -101,6 +105,8 @@ class SteeredPowerLikelihood(Likelihood):
             raise InputError(f"the region holds no place that is keep_out = {keep_out:g} m from every microphone")
         self.keep_out, self.volume = keep_out, region.volume * float(free.double().mean())
         self.power_on_grid = power.at(grid[free])
+        self.register_buffer("cells", grid[free], persistent=False)
+        self.register_buffer("cell_size", region.cell_size(grid_points), persistent=False)
         self.register_buffer("low", torch.tensor(region.low), persistent=False)
         self.register_buffer("high", torch.tensor(region.high), persistent=False)
 
@@ -108,9 +114,14 @@ class SteeredPowerLikelihood(Likelihood):
         gcc, speech = observations.gcc, observations.speech[..., None]
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
-        mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
+        on_grid = self.power_on_grid(gcc).clamp_min(_SMALLEST_POWER)
+        mean = self._to_the_exponent(on_grid).mean(-1, keepdim=True)
         mean = mean.clamp_min(torch.finfo(mean.dtype).tiny)  # a large exponent may leave nothing of any power
-        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean))
+        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean), on_grid)
+
+    def evidence_map(self, prepared: PreparedPower) -> EvidenceMap:
+        """Return the logarithm of the steered power, without gradient."""
+        return EvidenceMap(prepared.on_grid.detach().log(), self.cells, self.cell_size)
 
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
         position = kinematics.position

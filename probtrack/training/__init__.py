@@ -13,6 +13,7 @@ from probtrack.training.losses import CloudLikelihood as CloudLikelihood
 from probtrack.training.losses import Loss as Loss
 from probtrack.training.losses import NegativeLogEvidence as NegativeLogEvidence
 from probtrack.training.losses import Outcome as Outcome
+from probtrack.training.losses import ProposalLoss as ProposalLoss
 from probtrack.training.losses import SquaredError as SquaredError
 from probtrack.training.losses import WeightedSum as WeightedSum
 from probtrack.training.observation_files import ObservationFiles as ObservationFiles

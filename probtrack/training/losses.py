@@ -98,6 +98,24 @@ class SquaredError(Loss):
 
 
 @dataclass(frozen=True)
+class ProposalLoss(Loss):
+    r"""Unlikeliness of the weighted cloud under the proposal, :math:`-\sum_n w_t^{(n)} \log q(x_t^{(n)})`.
+
+    Its gradient is that of the divergence of the proposal from the posterior law, which needs no sample of its own;
+    the weights count as constants. Only a filter's `relocation` has such a proposal: 0 for all others.
+
+    References:
+        S. Gu, Z. Ghahramani, R. E. Turner, "Neural adaptive sequential Monte Carlo", NeurIPS 2015, eq. 6.
+    """
+
+    def __call__(self, outcome: Outcome) -> Tensor:
+        cloud = outcome.cloud
+        if cloud.log_proposal is None:
+            return torch.zeros_like(cloud.log_evidence[0])
+        return -(cloud.log_weight.detach().exp() * cloud.log_proposal).sum(-1).mean(0)
+
+
+@dataclass(frozen=True)
 class WeightedSum(Loss):
     """Several losses at once.
 
