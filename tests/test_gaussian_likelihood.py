@@ -6,8 +6,8 @@ from properties import assert_gradients
 from torch.distributions import Independent, Normal
 
 from probtrack.dynamics import Kinematics
-from probtrack.errors import InputError
-from probtrack.likelihoods import GaussianPosition
+from probtrack.errors import InputError, NotFiniteError, ShapeError
+from probtrack.likelihoods import GaussianPosition, Positions
 
 
 def moving(position):
@@ -66,3 +66,54 @@ def test_maximum_likelihood_recovers_the_std():
 def test_rejects_std(std):
     with pytest.raises(InputError, match="std must be finite and positive"):
         GaussianPosition(std)
+
+
+def some_missing(batch, axes=2):
+    """Positions (4, *batch, axes) with NaN where nothing was measured."""
+    observed = torch.rand(4, *batch) < 0.5
+    observed[1], observed[2] = True, False
+    position = torch.randn(4, *batch, axes)
+    return Positions(torch.where(observed[..., None], position, torch.nan), observed)
+
+
+@pytest.mark.parametrize("batch", [(), (5,), (3, 5)])
+def test_what_is_missing_says_nothing(batch):
+    model, y, x = GaussianPosition(0.37), some_missing(batch), torch.randn(*batch, 7, 2)
+    for t in range(4):
+        seen = y.observed[t, ..., None].expand(*batch, 7)
+        value, complete = log_density(model, y, x, t), log_density(model, y.position, x, t)
+        torch.testing.assert_close(value[seen], complete[seen], rtol=0, atol=0)
+        assert (value[~seen] == 0).all()
+
+
+def test_gradients_do_not_see_what_is_missing():
+    model, y = GaussianPosition(0.37), some_missing((5,))
+    x = torch.randn(5, 7, 2, requires_grad=True)
+    sum(log_density(model, y, x, t).sum() for t in range(4)).backward()
+    seen, again = model.log_std.grad.clone(), GaussianPosition(0.37)
+    expected = sum(log_density(again, y.position.nan_to_num(9.0), x, t)[y.observed[t]].sum() for t in range(4))
+    expected.backward()
+    torch.testing.assert_close(seen, again.log_std.grad)
+    assert x.grad.isfinite().all()
+    x.grad = None
+    log_density(model, y, x, 2).sum().backward()
+    assert (x.grad == 0).all()
+
+
+def test_missing_positions_in_float32_stay_in_float32():
+    y = Positions(torch.full((1, 3, 2), torch.nan), torch.zeros(1, 3, dtype=torch.bool))
+    y = y._replace(position=y.position.float())
+    assert log_density(GaussianPosition(0.1).float(), y, torch.randn(3, 7, 2).float(), 0).dtype == torch.float32
+
+
+def test_rejects_a_measured_position_that_is_not_finite():
+    position = torch.zeros(4, 3, 2)
+    position[2, 1, 0] = torch.nan
+    with pytest.raises(NotFiniteError, match="measured positions must be finite, not so in frame 2"):
+        GaussianPosition(0.1).prepare(Positions(position, torch.ones(4, 3, dtype=torch.bool)))
+
+
+@pytest.mark.parametrize("observed", [torch.ones(4, 3), torch.ones(4, dtype=torch.bool)])
+def test_rejects_flags_that_do_not_fit(observed):
+    with pytest.raises(ShapeError, match=r"observed must be bool of shape \(4, 3\), got"):
+        GaussianPosition(0.1).prepare(Positions(torch.zeros(4, 3, 2), observed))

@@ -257,14 +257,50 @@ def test_rejects_other_shapes(name, value, message):
 
 @pytest.mark.parametrize("dt", [0.0, -0.01, math.nan, math.inf])
 def test_rejects_a_time_step_that_is_none(dt):
-    for act in (lambda: chain(dt=dt), lambda: chain()(dt), lambda: MarkovChain.dwelling([1.0, 2.0], dt=dt)):
+    several = torch.tensor([DT, dt])
+    for act in (
+        lambda: chain(dt=dt),
+        lambda: chain()(dt),
+        lambda: chain()(several),
+        lambda: MarkovChain.dwelling([1.0, 2.0], dt=dt),
+    ):
         with pytest.raises(InputError, match="dt must be finite and positive"):
             act()
 
 
-def test_rejects_several_time_steps():
-    with pytest.raises(InputError, match=r"dt must be one number for a chain, got shape \(2,\)"):
-        chain()(torch.tensor([0.1, 0.2]))
+STEPS = [[DT, 0.4 * DT, 3 * DT], [7.3 * DT, 1000 * DT, 1e-6]]
+
+
+def test_each_talker_has_its_own_time_step():
+    made = chain()
+    table = made(torch.tensor(STEPS))
+    assert table.shape == (2, 3, made.num_modes + 1, made.num_modes)
+    for row, steps in zip(table, STEPS, strict=True):
+        for one, dt in zip(row, steps, strict=True):
+            torch.testing.assert_close(one, made(dt), rtol=0, atol=1e-14)
+
+
+def test_each_talker_has_its_own_time_step_and_speech():
+    made, alpha = chain(silence=SILENCE), torch.rand(4, 2, 3)
+    table = made(torch.tensor(STEPS), alpha)
+    for i, j, k in [(0, 0, 1), (3, 1, 0), (2, 1, 1)]:
+        torch.testing.assert_close(table[i, j, k], made(STEPS[j][k], alpha[i, j, k]))
+
+
+def test_long_steps_are_powers():
+    made, steps = chain(), torch.tensor([0.0, 1.0, 2.0, 5.0, 13.0, 64.0]) + 1
+    for n, table in zip(steps.tolist(), made(steps * DT).exp(), strict=True):
+        torch.testing.assert_close(table[:-1], torch.linalg.matrix_power(matrix(made, DT), int(n)))
+
+
+def test_gradients_of_steps_that_differ():
+    assert_gradients(chain(silence=SILENCE), lambda made, alpha: made(torch.tensor(STEPS), alpha), torch.rand(2, 3))
+
+
+def test_the_matrices_are_for_one_time_step():
+    for act in (chain, lambda dt: MarkovChain.dwelling([1.0, 2.0], dt=dt)):
+        with pytest.raises(InputError, match=r"dt must be one number for the matrices of a chain, got shape \(2,\)"):
+            act(dt=torch.tensor([0.1, 0.2]))
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.001, math.nan])

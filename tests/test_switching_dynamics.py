@@ -583,8 +583,8 @@ def test_rejects_a_time_step_that_is_none(dt):
 
 def test_rejects_a_time_step_for_each_particle():
     switching, dt = three(), torch.tensor([0.1, 0.2])
-    for act in (switching.transition, lambda dt: switching.moves(None, dt), lambda dt: switching(torch.zeros(7), dt)):
-        with pytest.raises(InputError, match=r"dt must be one number for a chain, got shape \(2,\)"):
+    for act in (switching.transition, lambda dt: switching.moves(None, dt)):
+        with pytest.raises(ShapeError, match=r"dt must be one number, or one for each cloud \(\*batch, 1\), got shape"):
             act(dt)
 
 
@@ -718,3 +718,42 @@ def test_models_of_one_layout_exchange_states_as_they_are():
     torch.testing.assert_close(moved[:, :6], slow.transition(0.1)(state[:, :6], noise[:, :6]))
     law, alone = model(state, 0.1), slow(state[:, :6], 0.1)
     torch.testing.assert_close(law.log_prob(moved), alone.log_prob(moved[:, :6]))
+
+
+CLOUD_STEPS = torch.tensor([[DT], [0.3 * DT], [2.6 * DT]])
+
+
+@pytest.mark.parametrize("make", [three, every], ids=["one layout", "all layouts"])
+def test_each_cloud_has_its_own_time_step(make):
+    switching = make()
+    state, numbers = mixed(switching, 3, 40), noise(switching, 3, 40)
+    moved = switching.transition(CLOUD_STEPS)(state, numbers)
+    for i, dt in enumerate(CLOUD_STEPS[:, 0].tolist()):
+        torch.testing.assert_close(moved[i], switching.transition(dt)(state[i], numbers[i]))
+
+
+def test_weights_of_clouds_with_their_own_time_steps():
+    switching = three(explore=0.4)
+    state, numbers = mixed(switching, 3, 40), noise(switching, 3, 40)
+    _, log_weight = next(iter(switching.moves(None, CLOUD_STEPS)))(state, numbers)
+    for i, dt in enumerate(CLOUD_STEPS[:, 0].tolist()):
+        _, one = next(iter(switching.moves(None, dt)))(state[i], numbers[i])
+        torch.testing.assert_close(log_weight[i], one)
+
+
+def test_clouds_that_listen_have_their_own_time_steps():
+    switching = listening()
+    state, numbers, speech = mixed(switching, 3, 40), noise(switching, 3, 40), torch.rand(1, 3)
+    moved, _ = next(iter(switching.moves(Heard(speech), CLOUD_STEPS)))(state, numbers)
+    for i, dt in enumerate(CLOUD_STEPS[:, 0].tolist()):
+        one, _ = next(iter(switching.moves(Heard(speech[:, i]), dt)))(state[i], numbers[i])
+        torch.testing.assert_close(moved[i], one)
+
+
+def test_the_density_takes_a_time_step_for_each_state():
+    switching = three()
+    state, dt = mixed(switching, 3, 4), torch.tensor([DT, 0.3 * DT, 2.6 * DT, 2 * DT])
+    value = switching.transition(DT)(state, noise(switching, 3, 4))
+    density = switching(state, dt).log_prob(value)
+    for j in range(4):
+        torch.testing.assert_close(density[:, j], switching(state[:, j], dt[j].item()).log_prob(value[:, j]))

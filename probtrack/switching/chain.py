@@ -1,12 +1,12 @@
 """Which way of moving follows which: a Markov chain with learnable probabilities."""
 
-import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
 from probtrack._checks import as_positive
+from probtrack.dynamics.processes import seconds
 from probtrack.errors import InputError, ShapeError
 
 Table = Tensor | Sequence[Sequence[float]]
@@ -54,7 +54,7 @@ class MarkovChain(nn.Module):
         if first.ndim != 1 or len(first) < 1:
             raise ShapeError(f"initial must have shape (S,), got {tuple(first.shape)}")
         self.num_modes = len(first)
-        self.dt = one_time_step(dt)
+        self.dt = _one_time_step(dt)
         self.logit_initial = nn.Parameter(first.log())
         self.logit_transition = nn.Parameter(self._matrix(transition, "transition").log())
         self.logit_silence = None if silence is None else nn.Parameter(self._matrix(silence, "silence").log())
@@ -69,7 +69,7 @@ class MarkovChain(nn.Module):
             ShapeError: unless there are times of at least 2 modes.
             InputError: for a time that is shorter than `dt`: no mode can be left within a frame.
         """
-        step, mean = one_time_step(dt), as_positive(torch.as_tensor(times), "times")
+        step, mean = _one_time_step(dt), as_positive(torch.as_tensor(times), "times")
         if mean.ndim != 1 or len(mean) < 2:
             raise ShapeError(f"times must have shape (S,) with S at least 2, got {tuple(mean.shape)}")
         if not (mean >= step).all():
@@ -84,19 +84,19 @@ class MarkovChain(nn.Module):
         """Whether transitions depend on speech activity."""
         return self.logit_silence is not None
 
-    def forward(self, dt: float, speech: Tensor | None = None) -> Tensor:
-        """Return log P(mode | mode before) over `dt` [s], (*speech's shape, S + 1, S).
+    def forward(self, dt: float | Tensor, speech: Tensor | None = None) -> Tensor:
+        """Return log P(mode | mode before) over `dt` [s], (..., S + 1, S).
 
         Row i < S is of mode i before; the last row is of the start, when there was none.
 
         Args:
-            dt: Time step [s], a number.
-            speech: Probability of speech in each frame (...); only if the chain listens.
+            dt: Time step (...) [s].
+            speech: Probability of speech in each frame (...), broadcast with `dt`; only if the chain listens.
 
         Raises:
             InputError: for a time step that is not positive, or no speech for a chain that listens.
         """
-        steps = one_time_step(dt) / self.dt
+        steps = seconds(dt, self.logit_transition.double()) / self.dt
         matrix = _over(self.logit_transition.softmax(-1), steps)
         if self.logit_silence is not None:
             if speech is None:
@@ -121,22 +121,36 @@ class MarkovChain(nn.Module):
         return ", ".join([*shown, f"dt={self.dt:g} s"])
 
 
-def one_time_step(dt: float | Tensor) -> float:
+def _one_time_step(dt: float | Tensor) -> float:
     """Return `dt` as a number, not rounded, or raise `InputError` unless it is one, finite and > 0."""
     if isinstance(dt, Tensor) and dt.ndim > 0:
-        raise InputError(f"dt must be one number for a chain, got shape {tuple(dt.shape)}")
+        raise InputError(f"dt must be one number for the matrices of a chain, got shape {tuple(dt.shape)}")
     as_positive(dt, "dt")
     return float(dt)
 
 
-def _over(matrix: Tensor, steps: float) -> Tensor:
-    """Return P^n (I + r (P - I)) of P = `matrix` (S, S), n + r = `steps`."""
+def _over(matrix: Tensor, steps: Tensor) -> Tensor:
+    """Return P^n (I + r (P - I)) of P = `matrix` (S, S), n + r = `steps` (...) in float64: (..., S, S)."""
     # a quotient of floats, of time steps that may have been float32, misses a whole number
-    whole = round(steps) if math.isclose(steps, round(steps), rel_tol=_ROUNDING) else math.floor(steps)
-    part = max(steps - whole, 0.0)
-    moved: Tensor = torch.linalg.matrix_power(matrix.double(), whole)  # in float32 rows of high powers lose their sum
-    moved = (moved / moved.sum(-1, keepdim=True)).to(matrix)
-    return moved @ torch.lerp(torch.eye(len(matrix)).to(matrix), matrix, part) if part > _ROUNDING * steps else moved
+    nearest = steps.round()
+    is_whole = (steps - nearest).abs() <= _ROUNDING * torch.maximum(steps, nearest)
+    whole = torch.where(is_whole, nearest, steps.floor())
+    part = torch.where(is_whole, 0.0, steps - whole)[..., None, None]
+    moved = _power(matrix.double(), whole)  # in float32 rows of high powers lose their sum
+    moved = moved / moved.sum(-1, keepdim=True)
+    return (moved @ torch.lerp(torch.eye(len(matrix)).to(moved), matrix.double(), part)).to(matrix)
+
+
+def _power(matrix: Tensor, exponent: Tensor) -> Tensor:
+    """Return powers (..., S, S) of `matrix` (S, S) with whole numbers `exponent` (...), by repeated squaring."""
+    left = exponent.long()
+    power = torch.eye(len(matrix)).to(matrix).expand(*exponent.shape, -1, -1)
+    while True:
+        power = torch.where((left % 2 == 1)[..., None, None], power @ matrix, power)
+        left = left // 2
+        if not left.any():
+            return power
+        matrix = matrix @ matrix
 
 
 def _log(p: Tensor) -> Tensor:

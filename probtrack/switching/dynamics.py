@@ -12,8 +12,8 @@ from probtrack._checks import check_event
 from probtrack.distributions import Switched
 from probtrack.dynamics import Dynamics, Kinematics, Move, Transition
 from probtrack.dynamics.base import checked_axes
-from probtrack.errors import InputError
-from probtrack.switching.chain import MarkovChain, one_time_step
+from probtrack.errors import InputError, ShapeError
+from probtrack.switching.chain import MarkovChain
 from probtrack.switching.drawing import drawn_from
 
 
@@ -40,7 +40,8 @@ class SwitchingDynamics(Dynamics):
 
     Shape:
         state (..., D): the state of the particle's own model, padded with zeros to the largest, then the mode,
-        0 to S - 1, or S before the first frame, when the state is that of the first model. One `dt` for all.
+        0 to S - 1, or S before the first frame, when the state is that of the first model. dt: float or (...) [s]; in
+        steps the same for all particles of a cloud, (*batch, 1).
 
     References:
         S1 section 3.3, eq. 32 and Figure 2. S. McGinnity, G. Irwin, "Multiple model bootstrap filter for
@@ -84,7 +85,10 @@ class SwitchingDynamics(Dynamics):
         """
         check_event(state, (self.state_dim,), "state")
         before = state[..., -1]
-        rows = self.chain(one_time_step(dt))[before.long()]
+        table = self.chain(dt)
+        shape = torch.broadcast_shapes(before.shape, table.shape[:-2])
+        row = before.long().expand(shape)[..., None, None]
+        rows = table.expand(*shape, -1, -1).take_along_dim(row, -2)[..., 0, :]
         flat, of = _flat(state[..., :-1]), self._layout(before).flatten()
         laws = []
         for s, model in enumerate(self._parts):
@@ -95,7 +99,7 @@ class SwitchingDynamics(Dynamics):
 
     def transition(self, dt: float | Tensor) -> Transition:
         """Return the step by the chain itself, without exploring and without its gradient; see `moves`."""
-        move = self._move(self.chain(one_time_step(dt)).detach(), dt, explore=0.0)
+        move = self._move(self.chain(_of_clouds(dt)).detach(), dt, explore=0.0)
         return lambda state, noise: move(state, noise)[0]
 
     def moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
@@ -105,11 +109,11 @@ class SwitchingDynamics(Dynamics):
             InputError: for observations without speech, if the chain listens.
         """
         if not self.chain.listens:
-            return itertools.repeat(self._move(self.chain(one_time_step(dt)), dt, explore=self.explore))
+            return itertools.repeat(self._move(self.chain(_of_clouds(dt)), dt, explore=self.explore))
         speech = getattr(observations, "speech", None)
         if speech is None:
             raise InputError("observations must have `speech` for a chain that listens to it")
-        tables = self.chain(one_time_step(dt), speech)
+        tables = self.chain(_of_clouds(dt), speech)
         transitions = [model.transition(dt) for model in self._parts]
         return (self._move(table, dt, transitions, explore=self.explore) for table in tables.unbind(0))
 
@@ -153,19 +157,30 @@ class SwitchingDynamics(Dynamics):
                 state, noise = state.expand(*shape, -1), noise.expand(*shape, -1)
             before = state[..., -1]
             after, log_weight = draw(before, noise[..., -1])
-            moved = self._moved(
-                _flat(state[..., :-1]), _flat(noise[..., :-1]), before.flatten(), after.flatten(), steps
-            )
+            flat, numbers = _flat(state[..., :-1]), _flat(noise[..., :-1])
+            clouds = shape if isinstance(dt, Tensor) and dt.ndim > 0 else flat.shape[1:]
+            moved = self._moved(flat, numbers, before.flatten(), after.flatten(), steps, clouds)
             return moved.view(-1, *shape).movedim(0, -1), log_weight
 
         return move
 
-    def _moved(self, flat: Tensor, noise: Tensor, before: Tensor, after: Tensor, steps: Sequence[Transition]) -> Tensor:
-        """Return the next states (D, n) of `flat` (D - 1, n) by `noise` (K, n), modes (n,) before and after."""
+    def _moved(
+        self,
+        flat: Tensor,
+        noise: Tensor,
+        before: Tensor,
+        after: Tensor,
+        steps: Sequence[Transition],
+        clouds: torch.Size,
+    ) -> Tensor:
+        """Return the next states (D, n) of `flat` (D - 1, n) by `noise` (K, n), modes (n,) before and after.
+
+        The models see n particles as `clouds` (*batch, N) where time steps differ from cloud to cloud, else as one.
+        """
         laid_out = flat if self._alike else self._carried(flat, self._layout(before), after)
         states = self._own(laid_out, after)
         moved = [
-            step(own.mT, noise[: model.noise_dim].mT).mT
+            _flat(step(_as(clouds, own), _as(clouds, noise[: model.noise_dim])))
             for model, step, own in zip(self._parts, steps, states, strict=True)
         ]
         out = _selected(after, moved, self.state_dim)
@@ -243,6 +258,20 @@ def _is(mode: Tensor, s: int, modes: int) -> Tensor:
 def _with_zeros(said: Tensor, rows: int) -> Tensor:
     """Return a copy of `said` (J, n) with zeros below, (rows, n)."""
     return torch.cat([said, said.new_zeros(rows - len(said), said.shape[1])])
+
+
+def _of_clouds(dt: float | Tensor) -> float | Tensor:
+    """Return a time step that is one for all particles of a cloud (*batch, 1) as that of the cloud (*batch)."""
+    if not isinstance(dt, Tensor) or dt.ndim == 0:
+        return dt
+    if dt.shape[-1] != 1:
+        raise ShapeError(f"dt must be one number, or one for each cloud (*batch, 1), got shape {tuple(dt.shape)}")
+    return dt[..., 0]
+
+
+def _as(clouds: torch.Size, flat: Tensor) -> Tensor:
+    """Return vectors `flat` (D, n) as (*batch, N, D), without a copy."""
+    return flat.view(-1, *clouds).movedim(0, -1)
 
 
 def _flat(vectors: Tensor) -> Tensor:
