@@ -15,3 +15,4 @@ from probtrack.filters.resampling.stratified import stratified as stratified
 from probtrack.filters.resampling.stratified import stratified_ends as stratified_ends
 from probtrack.filters.resampling.systematic import systematic as systematic
 from probtrack.filters.resampling.systematic import systematic_ends as systematic_ends
+from probtrack.filters.resampling.transport import OptimalTransport as OptimalTransport

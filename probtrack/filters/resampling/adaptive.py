@@ -36,6 +36,10 @@ class Adaptive(Resampler):
         if not 0 <= self.threshold <= 1:
             raise InputError(f"threshold must be in [0, 1], a share of the particles, got {self.threshold}")
 
+    @property
+    def copies(self) -> bool:
+        return self.resampler.copies
+
     def num_uniforms(self, num_particles: int) -> int:
         return self.resampler.num_uniforms(num_particles)
 
