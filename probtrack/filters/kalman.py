@@ -1,7 +1,7 @@
 """Exact filter and smoother of a linear Gaussian system, batched and differentiable."""
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -64,6 +64,7 @@ class KalmanResult(NamedTuple):
     gain: Tensor
 
 
+@runtime_checkable
 class LinearDynamics(Protocol):
     """Motion model whose step is X' = F X + G u with F and G free of the state."""
 

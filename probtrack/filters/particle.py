@@ -96,7 +96,9 @@ class ParticleFilter(nn.Module):
         """Return a cloud uniform over `region`, moving at `speed` [m/s] r.m.s. on each axis."""
         return self._at_rest_in(region.from_unit(noise.uniform(self.num_particles, region.axes)), noise, speed)
 
-    def spread_around(self, point: Tensor, noise: NoiseStream, std: float = 0.1, speed: float = 0.5) -> Belief:
+    def spread_around(
+        self, point: Tensor, noise: NoiseStream, std: float | Tensor = 0.1, speed: float = 0.5
+    ) -> Belief:
         """Return a Gaussian cloud of `std` [m] around `point` (*batch, A) [m], moving at `speed` [m/s]."""
         offset = std * noise.normal(self.num_particles, point.shape[-1])
         return self._at_rest_in(point.to(offset)[..., None, :] + offset, noise, speed)

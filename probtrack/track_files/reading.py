@@ -100,8 +100,13 @@ def _numbers(table: TrackTable) -> list[float]:
 
 
 def _in_order(table: TrackTable) -> TrackTable:
-    if not (table.time.diff() > 0).all():
-        raise InputError(f"{table.path}: times must increase from row to row")
+    later = table.time.diff() > 0
+    if not later.all():
+        row = int((~later).nonzero()[0, 0]) + 1
+        before, after = table.time[row - 1 : row + 1].tolist()
+        raise InputError(
+            f"{table.path}: times must increase from row to row, got {after:g} s after {before:g} s in row {row + 1}"
+        )
     return table
 
 

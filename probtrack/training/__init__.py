@@ -19,21 +19,41 @@ from probtrack.training.losses import WeightedSum as WeightedSum
 from probtrack.training.observation_files import ObservationFiles as ObservationFiles
 from probtrack.training.observation_files import front_end_key as front_end_key
 from probtrack.training.physical import physical as physical
+from probtrack.training.physical import physical_summary as physical_summary
 from probtrack.training.physical import physical_values as physical_values
+from probtrack.training.physical import read_parameters as read_parameters
+from probtrack.training.physical import unconstrained as unconstrained
+from probtrack.training.physical import write_parameters as write_parameters
 from probtrack.training.scene_data import FrameGrid as FrameGrid
 from probtrack.training.scene_data import SceneDataset as SceneDataset
 from probtrack.training.scene_data import SceneItem as SceneItem
 from probtrack.training.settings import FrontEndSettings as FrontEndSettings
 from probtrack.training.settings import Lehmann2007FrontEnd as Lehmann2007FrontEnd
+from probtrack.training.trajectories import Trajectory as Trajectory
+from probtrack.training.trajectories import TrajectoryBatch as TrajectoryBatch
+from probtrack.training.trajectories import TrajectoryDataset as TrajectoryDataset
+from probtrack.training.trajectories import check_trajectory as check_trajectory
+from probtrack.training.trajectories import collate_trajectories as collate_trajectories
+from probtrack.training.trajectories_reading import read_trajectories as read_trajectories
+from probtrack.training.trajectories_sampled import SampledTrajectories as SampledTrajectories
+from probtrack.training.trajectories_sampled import TrajectorySource as TrajectorySource
+from probtrack.training.trajectories_sampled import WalkedTrajectories as WalkedTrajectories
 from probtrack.training.truth_at import TruthFrames as TruthFrames
 from probtrack.training.truth_at import truth_at as truth_at
 
 if TYPE_CHECKING:
     from probtrack.training.data_module import SceneDataModule as SceneDataModule
     from probtrack.training.fit import Fit as Fit
+    from probtrack.training.trajectories_data_module import TrajectoryDataModule as TrajectoryDataModule
+    from probtrack.training.trajectories_fit import TrajectoryFit as TrajectoryFit
 
 
-_LIGHTNING = {"SceneDataModule": "data_module", "Fit": "fit"}
+_LIGHTNING = {
+    "SceneDataModule": "data_module",
+    "Fit": "fit",
+    "TrajectoryDataModule": "trajectories_data_module",
+    "TrajectoryFit": "trajectories_fit",
+}
 
 
 def __getattr__(name: str) -> Any:

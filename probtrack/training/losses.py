@@ -23,12 +23,14 @@ class Outcome(NamedTuple):
         kinematics: What they mean: positions (T, *batch, N, A) [m].
         truth: True positions (T, *batch, A) [m]; None where nobody knows them.
         known: Whether the truth says anything of a frame (T, *batch) bool; None where there is no truth.
+        inside: Whether a frame is one of the run's own, not padding (T, *batch) bool; None where all are.
     """
 
     cloud: Cloud
     kinematics: Kinematics
     truth: Tensor | None = None
     known: Tensor | None = None
+    inside: Tensor | None = None
 
 
 class Loss(abc.ABC):
@@ -52,7 +54,8 @@ class NegativeLogEvidence(Loss):
     """
 
     def __call__(self, outcome: Outcome) -> Tensor:
-        return -outcome.cloud.log_evidence.mean(0)
+        evidence = outcome.cloud.log_evidence
+        return -evidence.mean(0) if outcome.inside is None else _mean(-evidence, outcome.inside)
 
 
 @dataclass(frozen=True)
