@@ -225,8 +225,8 @@ BAD = {
     "text": ("time,x,y\n0,1,2\n1,left,3\n", ":3: column x holds something that is not a number"),
     "time lost": ("time,x,y\n0,1,2\n,2,3\n", ": every row needs a time"),
     "infinite": ("time,x,y\n0,1,2\ninf,2,3\n", ": every row needs a time"),
-    "equal": ("time,x,y\n0,1,2\n0,2,3\n", ": times must increase from row to row"),
-    "back": ("time,x,y\n1,1,2\n0,2,3\n", ": times must increase from row to row"),
+    "equal": ("time,x,y\n0,1,2\n0,2,3\n", ": times must increase from row to row, got 0 s after 0 s in row 2"),
+    "back": ("time,x,y\n1,1,2\n0,2,3\n", ": times must increase from row to row, got 0 s after 1 s in row 2"),
     "two": ("time,track,x,y\n0,1,1,2\n1,2,1,2\n", ": holds tracks 1, 2, expected one"),
     "twice": ("time,x,y,x\n0,1,2,3\n", ": has the column x more than once"),
 }
