@@ -37,7 +37,7 @@ def hard_weights(size, dtype):
 
 
 def uniforms_for(scheme, *batch, size, dtype=torch.float64):
-    return torch.rand(*batch, scheme.num_uniforms(size), dtype=dtype)
+    return torch.rand(*batch, scheme.num_uniforms(size, 4), dtype=dtype)
 
 
 @each_scheme
@@ -59,7 +59,7 @@ def test_counts_sum_to_the_particles_and_none_has_weight_zero(name, dtype, batch
 def test_a_million_particles_keep_the_laws(name, dtype, u):
     size, scheme = 10**6, SCHEMES[name]
     weight = hard_weights(size, dtype)
-    counts = scheme.offspring(weight, torch.full((scheme.num_uniforms(size),), u, dtype=dtype))
+    counts = scheme.offspring(weight, torch.full((scheme.num_uniforms(size, 4),), u, dtype=dtype))
     assert (counts >= 0).all()
     assert counts.sum() == size
     assert (counts[weight == 0] == 0).all()
@@ -243,7 +243,7 @@ def test_gradients_reach_resampled_and_untouched_clouds():
 
 @each_scheme
 def test_adaptive_asks_for_the_uniforms_of_its_scheme(name):
-    assert Adaptive(SCHEMES[name]).num_uniforms(9) == (1 if name == "systematic" else 9)
+    assert Adaptive(SCHEMES[name]).num_uniforms(9, 4) == (1 if name == "systematic" else 9)
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, 2, float("nan"), float("inf")])

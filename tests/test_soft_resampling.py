@@ -33,11 +33,11 @@ def cloud(*batch, size=9):
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_clouds_are_those_of_the_scheme_under_the_blended_weights(scheme, batch):
     state, log_weight = cloud(*batch)
-    uniforms = torch.rand(*batch, scheme.num_uniforms(9))
+    uniforms = torch.rand(*batch, scheme.num_uniforms(9, 4))
     blended = 0.3 * log_weight.exp() + 0.7 / 9
     drawn, _ = Soft(scheme, 0.3)(state, log_weight, uniforms)
     assert torch.equal(drawn, scheme(state, blended.log(), uniforms)[0])
-    assert Soft(scheme).num_uniforms(9) == scheme.num_uniforms(9)
+    assert Soft(scheme).num_uniforms(9, 4) == scheme.num_uniforms(9, 4)
 
 
 def test_each_copy_weighs_its_weight_over_how_likely_it_was_drawn():
@@ -52,7 +52,7 @@ def test_each_copy_weighs_its_weight_over_how_likely_it_was_drawn():
 def test_weighted_means_are_unbiased(scheme):
     (state, log_weight), runs = cloud(), 20_000
     drawn, new = Soft(scheme, 0.4)(
-        state.expand(runs, 9, 4), log_weight.expand(runs, 9), torch.rand(runs, scheme.num_uniforms(9))
+        state.expand(runs, 9, 4), log_weight.expand(runs, 9), torch.rand(runs, scheme.num_uniforms(9, 4))
     )
     for value, exact in ((torch.ones(runs, 9), torch.tensor(1.0)), (drawn[..., 0], log_weight.exp() @ state[:, 0])):
         sums = (new.exp() * value).sum(-1)

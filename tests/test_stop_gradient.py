@@ -17,12 +17,12 @@ def cloud(*batch, size=9):
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_values_are_those_of_the_scheme(scheme, batch):
     state, _, log_weight = cloud(*batch)
-    uniforms = torch.rand(*batch, scheme.num_uniforms(9))
+    uniforms = torch.rand(*batch, scheme.num_uniforms(9, 4))
     drawn, weights = StopGradient(scheme)(state, log_weight, uniforms)
     plain, equal = scheme(state, log_weight, uniforms)
     assert torch.equal(drawn, plain)
     assert torch.equal(weights, equal)
-    assert StopGradient(scheme).num_uniforms(9) == scheme.num_uniforms(9)
+    assert StopGradient(scheme).num_uniforms(9, 4) == scheme.num_uniforms(9, 4)
 
 
 def test_every_copy_keeps_the_gradient_of_the_weight_it_was_drawn_by():

@@ -32,7 +32,7 @@ def test_new_particles_are_those_of_plain_loops(epsilon):
     expected = torch.tensor(oracle.blended(state.tolist(), log_weight.exp().tolist(), epsilon))
     torch.testing.assert_close(moved, expected, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(weights, torch.full((7,), -math.log(7)))
-    assert OptimalTransport().num_uniforms(7) == 0
+    assert OptimalTransport().num_uniforms(7, 4) == 0
 
 
 def test_without_entropy_a_line_is_mapped_in_order():

@@ -3,10 +3,12 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.distributions import Distribution
 
 from probtrack._checks import check_event, check_int
 from probtrack.dynamics import Dynamics, Kinematics, Move
@@ -14,7 +16,7 @@ from probtrack.errors import InputError, NotFiniteError, ShapeError
 from probtrack.filters.cloud import Cloud, Frames, track_of
 from probtrack.filters.noise import NoiseStream
 from probtrack.filters.relocation import Relocate, Relocation
-from probtrack.filters.resampling import Adaptive, Resampler, systematic
+from probtrack.filters.resampling import Adaptive, Law, Resampler, systematic
 from probtrack.geometry import Region
 from probtrack.likelihoods import Likelihood
 from probtrack.tracks import Track, join
@@ -81,12 +83,13 @@ class ParticleFilter(nn.Module):
         self.dynamics, self.likelihood, self.relocation = dynamics, likelihood, relocation
         self.num_particles = check_int(num_particles, "num_particles", low=1)
         self.resample = Adaptive(systematic) if resample is None else resample
+        _check_resampler(self.resample, dynamics, relocation)
         self.register_buffer("origin", origin, persistent=False)
 
     def noise(self, seeds: Tensor | int = 0) -> NoiseStream:
         """Return the random numbers of runs with `seeds` (*batch), for this filter's sizes."""
         like = next((p for p in self.parameters() if p.is_floating_point()), torch.empty(()))
-        uniforms = self.resample.num_uniforms(self.num_particles)
+        uniforms = self.resample.num_uniforms(self.num_particles, self.dynamics.state_dim)
         normals = self.dynamics.noise_dim
         if self.relocation is not None:
             normals += self.relocation.noise_dim(self.dynamics.axes)
@@ -96,9 +99,7 @@ class ParticleFilter(nn.Module):
         """Return a cloud uniform over `region`, moving at `speed` [m/s] r.m.s. on each axis."""
         return self._at_rest_in(region.from_unit(noise.uniform(self.num_particles, region.axes)), noise, speed)
 
-    def spread_around(
-        self, point: Tensor, noise: NoiseStream, std: float | Tensor = 0.1, speed: float = 0.5
-    ) -> Belief:
+    def spread_around(self, point: Tensor, noise: NoiseStream, std: float | Tensor = 0.1, speed: float = 0.5) -> Belief:
         """Return a Gaussian cloud of `std` [m] around `point` (*batch, A) [m], moving at `speed` [m/s]."""
         offset = std * noise.normal(self.num_particles, point.shape[-1])
         return self._at_rest_in(point.to(offset)[..., None, :] + offset, noise, speed)
@@ -162,9 +163,12 @@ class ParticleFilter(nn.Module):
         size = len(prepared) if at_once else max(1, _CHUNK // max(1, belief.log_weight.numel()))
         state, log_weight = belief.state, belief.log_weight
         moves = iter(self._moves(observations, dt))
-        steps = zip(self._relocations(whole, observations, dt), moves, strict=False)
+        steps = zip(self._relocations(whole, observations, dt), moves, self._laws(dt), strict=False)
+        before = None
         for start in range(0, len(prepared), size):
-            state, log_weight, frames = self._run(state, log_weight, prepared[start : start + size], steps, noise)
+            block = prepared[start : start + size]
+            state, log_weight, frames = self._run(state, log_weight, block, steps, noise, before)
+            before = frames.state[-1], frames.log_weight[-1]
             yield state, log_weight, frames
 
     def _moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
@@ -175,6 +179,19 @@ class ParticleFilter(nn.Module):
             next(iter(self.dynamics.moves(with_time_axis(frame), _one_step(step))))
             for frame, step in zip(frames_of(observations), dt.unbind(0), strict=True)
         )
+
+    def _laws(self, dt: float | Tensor) -> Iterator[Law | None]:
+        """Return the law of the step into each frame, for a resampler that asks for it."""
+        if not self.resample.follows_moves:
+            return itertools.repeat(None)
+        if not isinstance(dt, Tensor) or dt.ndim == 0:
+            return itertools.repeat(lambda state: self.dynamics(state, dt))
+        return (partial(self._law, step=_one_step(step)) for step in dt.unbind(0))
+
+    def _law(self, state: Tensor, step: float | Tensor) -> Distribution:
+        # one number for each run's particles, which lie one axis deeper here
+        law: Distribution = self.dynamics(state, step[..., None] if isinstance(step, Tensor) else step)
+        return law
 
     def _relocations(self, prepared: Any, observations: Any, dt: float | Tensor) -> Iterator[Relocate | None]:
         """Return what comes before the step into each frame."""
@@ -193,16 +210,22 @@ class ParticleFilter(nn.Module):
         state: Tensor,
         log_weight: Tensor,
         frames: Sequence[Any],
-        steps: Iterator[tuple[Relocate | None, Move]],
+        steps: Iterator[tuple[Relocate | None, Move, Law | None]],
         noise: NoiseStream,
+        before: tuple[Tensor, Tensor] | None,
     ) -> tuple[Tensor, Tensor, Frames]:
-        """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one."""
+        """Run Algorithm 1 over `frames`; returns the last cloud and, of each frame, the weighted one.
+
+        `before` is the cloud of the frame before, not yet resampled, if it is known.
+        """
         # looked up once: nn.Module finds its parts slowly, and this loop is the whole cost of a small filter
         likelihood, kinematics, resample = self.likelihood, self.dynamics.kinematics, self.resample
         none_lost = torch.zeros(log_weight.shape[:-1], dtype=torch.bool, device=log_weight.device)
         motion_noise = self.dynamics.noise_dim
         clouds = Frames([], [], [], [], [])
-        for observation, (relocate, move) in zip(frames, steps, strict=False):  # there may be more steps than frames
+        for observation, (relocate, move, law) in zip(
+            frames, steps, strict=False
+        ):  # there may be more steps than frames
             normal, uniform = noise.frame()
             predicted = log_weight
             if relocate is not None:
@@ -213,18 +236,21 @@ class ParticleFilter(nn.Module):
                     clouds.log_proposal.append(log_proposal)
             state, correction = move(state, normal)  # step 1, prediction
             predicted = predicted if correction is None else predicted + correction
+            if law is not None and before is not None:
+                state, predicted = resample.after_move(before, state, predicted, law)
             joint = predicted + likelihood(observation, kinematics(state))  # step 2, update
             log_weight, lost = torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
             first = log_weight[..., 0]
             if math.isnan((first.sum() if first.ndim else first).item()):
                 # a corrected weight sums to 1 in expectation only
-                corrected = relocate is not None or correction is not None
+                corrected = relocate is not None or correction is not None or not resample.normalised
                 joint, log_weight, lost = _kept(joint, predicted.log_softmax(-1) if corrected else predicted)
             clouds.state.append(state)
             clouds.log_weight.append(log_weight)
             clouds.joint.append(joint)
             clouds.lost.append(lost)
+            before = state, log_weight
             state, log_weight = resample(state, log_weight, uniform)  # step 3, resampling
         if len(clouds.state) < len(frames):
             raise ShapeError("what the dynamics listens to must have as many frames as the observations, got fewer")
@@ -239,6 +265,21 @@ def _kept(joint: Tensor, predicted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     # taken out before the softmax: its gradient at a row of -inf is NaN even where nothing asks for it
     joint = torch.where(lost[..., None], predicted, joint)
     return joint, torch.where(lost[..., None], predicted, torch.log_softmax(joint, -1)), lost
+
+
+def _check_resampler(resample: Resampler, dynamics: Dynamics, relocation: Relocation | None) -> None:
+    if not resample.copies:
+        with torch.no_grad():
+            modes = dynamics.mode(torch.zeros(1, dynamics.state_dim))
+        if modes is not None:
+            raise InputError(
+                f"resample must copy particles, {type(dynamics).__name__} has modes, which cannot be blended: take a "
+                f"scheme such as StopGradient(systematic), got {resample}"
+            )
+    if resample.follows_moves and relocation is not None:
+        raise InputError(
+            "resample must not follow moves with relocation, whose law it does not know: take StopGradient"
+        )
 
 
 def _check_batch(belief: Belief, batch: tuple[int, ...]) -> None:

@@ -4,7 +4,9 @@ from probtrack.filters.resampling.adaptive import Adaptive as Adaptive
 from probtrack.filters.resampling.adaptive import effective_sample_size as effective_sample_size
 from probtrack.filters.resampling.base import Ancestral as Ancestral
 from probtrack.filters.resampling.base import Copying as Copying
+from probtrack.filters.resampling.base import Law as Law
 from probtrack.filters.resampling.base import Resampler as Resampler
+from probtrack.filters.resampling.marginal import MarginalStopGradient as MarginalStopGradient
 from probtrack.filters.resampling.multinomial import multinomial as multinomial
 from probtrack.filters.resampling.multinomial import multinomial_ends as multinomial_ends
 from probtrack.filters.resampling.residual import residual as residual

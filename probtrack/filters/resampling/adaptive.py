@@ -1,11 +1,13 @@
 """Resampling only where the weights have degenerated."""
 
+import math
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from probtrack.errors import InputError
-from probtrack.filters.resampling.base import Resampler
+from probtrack.filters.resampling.base import Law, Resampler
 
 
 def effective_sample_size(log_weight: Tensor) -> Tensor:
@@ -40,16 +42,21 @@ class Adaptive(Resampler):
     def copies(self) -> bool:
         return self.resampler.copies
 
-    def num_uniforms(self, num_particles: int) -> int:
-        return self.resampler.num_uniforms(num_particles)
+    @property
+    def follows_moves(self) -> bool:
+        return self.resampler.follows_moves
+
+    @property
+    def normalised(self) -> bool:
+        return self.resampler.normalised
+
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:
+        return self.resampler.num_uniforms(num_particles, state_dim)
 
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
-        weight = log_weight.detach().exp()
-        most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")  # of 1 / N_eff
-        if weight.ndim == 1:
-            degenerate = weight.dot(weight).item() > most
-            return self.resampler(state, log_weight, uniforms) if degenerate else (state, log_weight)
-        poor = weight.square_().sum(-1) > most
+        poor = self._poor(log_weight)
+        if poor.ndim == 0:
+            return self.resampler(state, log_weight, uniforms) if poor.item() else (state, log_weight)
         rows = poor.flatten().nonzero()[:, 0]
         if len(rows) == 0:
             return state, log_weight
@@ -64,3 +71,21 @@ class Adaptive(Resampler):
         clouds = clouds.index_copy(1, rows, new_clouds.movedim(-1, 0))
         weights = weights.index_copy(0, rows, new_weights)
         return clouds.view(variables.shape).movedim(0, -1), weights.view(log_weight.shape)
+
+    def after_move(
+        self, before: tuple[Tensor, Tensor], state: Tensor, log_weight: Tensor, law: Law
+    ) -> tuple[Tensor, Tensor]:
+        poor = self._poor(before[1])[..., None]
+        if not poor.any():
+            return state, log_weight
+        # a cloud that was left alone may hold particles that no other could have become: it is worked out as if its
+        # weights were equal, so that no infinity comes near the gradient, and then not used
+        weights = torch.where(poor, before[1], -math.log(log_weight.shape[-1]))
+        followed, weighed = self.resampler.after_move((before[0], weights), state, log_weight, law)
+        return torch.where(poor[..., None], followed, state), torch.where(poor, weighed, log_weight)
+
+    def _poor(self, log_weight: Tensor) -> Tensor:
+        """Return whether the effective sample size of each cloud is below the threshold (*batch)."""
+        weight = log_weight.detach().exp()
+        most = 1 / (self.threshold * log_weight.shape[-1]) if self.threshold > 0 else float("inf")  # of 1 / N_eff
+        return (weight.dot(weight) if weight.ndim == 1 else weight.square_().sum(-1)) > most

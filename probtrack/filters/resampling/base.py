@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.distributions import Distribution
+
+Law = Callable[[Tensor], Distribution]
+"""Motion into a frame: states (*batch, 1, N, D) to the laws of the next ones."""
 
 _SMALL = 1024  # particles for which a search is quicker than a scatter
 
@@ -23,9 +27,19 @@ class Resampler(abc.ABC):
         """Whether every new particle is an old one; others are blends, which modes and wrapped angles forbid."""
         return False
 
+    @property
+    def normalised(self) -> bool:
+        """Whether new weights sum to 1, not in expectation only."""
+        return True
+
+    @property
+    def follows_moves(self) -> bool:
+        """Whether `after_move` does anything."""
+        return False
+
     @abc.abstractmethod
-    def num_uniforms(self, num_particles: int) -> int:
-        """Return how many uniform numbers one run of `num_particles` needs a frame."""
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:
+        """Return how many uniform numbers one run of `num_particles` of D = `state_dim` variables needs a frame."""
 
     @abc.abstractmethod
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
@@ -34,8 +48,25 @@ class Resampler(abc.ABC):
         Args:
             state: Particles (*batch, N, D).
             log_weight: Normalised log weights (*batch, N).
-            uniforms: Uniform numbers in [0, 1), (*batch, num_uniforms(N)).
+            uniforms: Uniform numbers in [0, 1), (*batch, num_uniforms(N, D)).
         """
+
+    def after_move(
+        self,
+        before: tuple[Tensor, Tensor],  # noqa: ARG002
+        state: Tensor,
+        log_weight: Tensor,
+        law: Law,  # noqa: ARG002
+    ) -> tuple[Tensor, Tensor]:
+        """Return (state, log_weight) of a cloud that was resampled and has moved since: other gradients, same values.
+
+        Args:
+            before: The cloud before it was resampled: particles (*batch, N, D), normalised log weights (*batch, N).
+            state: Particles after the move (*batch, N, D).
+            log_weight: Their log weights (*batch, N).
+            law: What they moved by.
+        """
+        return state, log_weight
 
 
 class Copying(Resampler):
@@ -51,7 +82,7 @@ class Copying(Resampler):
 
         Args:
             log_weight: Normalised log weights (*batch, N).
-            uniforms: Uniform numbers in [0, 1), (*batch, num_uniforms(N)).
+            uniforms: Uniform numbers in [0, 1), (*batch, num_uniforms(N, D)).
         """
 
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
@@ -75,7 +106,7 @@ class Ancestral(Copying):
     ends: Callable[[Tensor, Tensor], Tensor]
     each: bool
 
-    def num_uniforms(self, num_particles: int) -> int:
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:  # noqa: ARG002
         return num_particles if self.each else 1
 
     def offspring(self, weight: Tensor, uniforms: Tensor) -> Tensor:

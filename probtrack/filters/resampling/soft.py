@@ -42,8 +42,12 @@ class Soft(Copying):
         if not 0 < self.share <= 1:
             raise InputError(f"share must be in (0, 1], got {self.share}")
 
-    def num_uniforms(self, num_particles: int) -> int:
-        return self.resampler.num_uniforms(num_particles)
+    @property
+    def normalised(self) -> bool:
+        return False
+
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:
+        return self.resampler.num_uniforms(num_particles, state_dim)
 
     def draw(self, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         blended = self.share * log_weight.exp() + (1 - self.share) / log_weight.shape[-1]

@@ -27,8 +27,12 @@ class StopGradient(Copying):
 
     resampler: Copying
 
-    def num_uniforms(self, num_particles: int) -> int:
-        return self.resampler.num_uniforms(num_particles)
+    @property
+    def normalised(self) -> bool:
+        return self.resampler.normalised
+
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:
+        return self.resampler.num_uniforms(num_particles, state_dim)
 
     def draw(self, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         ancestors, weights = self.resampler.draw(log_weight, uniforms)

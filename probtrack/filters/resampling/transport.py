@@ -57,7 +57,7 @@ class OptimalTransport(Resampler):
         if math.isnan(self.clip) or self.clip <= 0:
             as_positive(self.clip, "clip")
 
-    def num_uniforms(self, num_particles: int) -> int:  # noqa: ARG002
+    def num_uniforms(self, num_particles: int, state_dim: int) -> int:  # noqa: ARG002
         return 0
 
     def __call__(self, state: Tensor, log_weight: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:  # noqa: ARG002
