@@ -10,6 +10,7 @@ from probtrack.errors import InputError
 COMMANDS = {
     "simulate": "recordings of talkers in rooms, with their truth",
     "track": "a recording in, a talker's track out",
+    "fit": "parameters of models from data",
     "score": "figures of a track against the truth",
     "plot": "a picture of tracks, or of a recording tracked",
 }

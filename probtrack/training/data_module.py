@@ -110,7 +110,10 @@ class SceneDataModule(LightningDataModule):
     def train_dataloader(self) -> DataLoader[SceneBatch]:
         """Return what gives the batches of an epoch, in another order each time."""
         dataset = self._dataset("train")
-        return self._loader(dataset, batch_size=self.batch_size, sampler=SceneSampler(len(dataset), self.seed))
+        sampler = SceneSampler(len(dataset), self.seed)
+        if self.trainer is not None:  # Lightning says it only after workers have begun to read
+            sampler.set_epoch(self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
+        return self._loader(dataset, batch_size=self.batch_size, sampler=sampler)
 
     def val_dataloader(self) -> DataLoader[SceneBatch] | list[DataLoader[SceneBatch]]:
         """Return what gives the validation batches; none where there are no such scenes."""

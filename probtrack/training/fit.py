@@ -1,7 +1,7 @@
 """The training step that all fits share. Imports Lightning, so that it is loaded when it is first named only."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from probtrack._checks import as_positive, check_int
 from probtrack.errors import NotFiniteError
 from probtrack.training.losses import Loss, Outcome
-from probtrack.training.physical import physical_values
+from probtrack.training.physical import physical_summary
 from probtrack.training.seeds import seed_of
 
 try:
@@ -32,12 +32,18 @@ class Fit(LightningModule, abc.ABC):
         loss: What is made small.
         learning_rate: Step of Adam, in units of unconstrained parameters: 0.01 changes a rate by about a hundredth.
         seed: Of the filter's random numbers.
+
+    Attributes:
+        schedule: What makes a scheduler of the learning rate for the optimiser; None for a rate that stays.
     """
+
+    schedule: Callable[[torch.optim.Optimizer], torch.optim.lr_scheduler.LRScheduler] | None = None
 
     def __init__(self, model: nn.Module, loss: Loss, *, learning_rate: float = 0.02, seed: int = 0) -> None:
         super().__init__()
         self.model, self.loss = model, loss
-        self.learning_rate = float(as_positive(learning_rate, "learning_rate"))
+        as_positive(learning_rate, "learning_rate")
+        self.learning_rate = float(learning_rate)
         self.seed = check_int(seed, "seed", low=0)
 
     @abc.abstractmethod
@@ -57,16 +63,27 @@ class Fit(LightningModule, abc.ABC):
         return self.loss(self.outcome(batch, self.seeds(batch, draw)))
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
-        loss = self.run_loss(batch, self.current_epoch).mean()
+        runs = self.run_loss(batch, self.current_epoch)
+        loss = runs.mean()
         if not loss.isfinite():
             self._refuse(f"the loss is {loss.item()}", batch, batch_idx)
-        self.log("train/loss", loss.detach(), prog_bar=True)
+        self.log(
+            "train/loss",
+            loss.detach(),
+            prog_bar=True,
+            on_step=False,
+            on_epoch=True,
+            batch_size=len(runs),
+            sync_dist=True,
+        )
         self._batch = (batch, batch_idx)
         return loss
 
-    def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
+    def validation_step(self, batch: Any, batch_idx: int) -> None:
         runs = self.run_loss(batch, _VALIDATION)
-        self.log("val/loss", runs.mean(), prog_bar=True, batch_size=len(runs), sync_dist=True)
+        if not runs.isfinite().all():
+            self._refuse(f"the validation loss is {runs.mean().item()}", batch, batch_idx)
+        self.log("val/loss", runs.mean(), batch_size=len(runs), sync_dist=True)
 
     def on_after_backward(self) -> None:
         """Refuse gradients that are not finite before they reach a parameter."""
@@ -74,16 +91,29 @@ class Fit(LightningModule, abc.ABC):
             if parameter.grad is not None and not parameter.grad.isfinite().all():
                 self._refuse(f"the gradient of {name} is not finite", *self._batch)
 
-    def on_train_batch_end(self, *_: Any) -> None:
-        """Log the physical values of all parameters that are single numbers."""
-        values = {name: value for name, value in physical_values(self.model).items() if value.ndim == 0}
-        self.log_dict({f"parameter/{name}": value for name, value in values.items()})
+    def on_train_start(self) -> None:
+        """Let schedules that wait for the validation loss hear it at the end of each epoch, before the checkpoint.
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        return torch.optim.Adam([p for p in self.parameters() if p.requires_grad], lr=self.learning_rate)
+        Lightning tells them after it, and a run that goes on would have forgotten one.
+        """
+        for config in self.trainer.lr_scheduler_configs:
+            if config.reduce_on_plateau:
+                config.interval, config.frequency = "step", int(self.trainer.num_training_batches)
+
+    def on_train_epoch_end(self) -> None:
+        """Log the physical values of all parameters, and of tables their range."""
+        values = {f"parameter/{name}": value for name, value in physical_summary(self.model).items()}
+        self.log_dict(values, sync_dist=True)
+
+    def configure_optimizers(self) -> Any:
+        optimizer = torch.optim.Adam([p for p in self.parameters() if p.requires_grad], lr=self.learning_rate)
+        if self.schedule is None:
+            return optimizer
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.schedule(optimizer), "monitor": "val/loss"}}
 
     def _refuse(self, what: str, batch: Any, batch_idx: int) -> None:
-        broken = [name for name, p in self.model.named_parameters() if not p.isfinite().all()]
+        # the logarithm of a probability of 0 is a parameter as good as any
+        broken = [name for name, p in self.model.named_parameters() if p.isnan().any() or p.isposinf().any()]
         where = f"epoch {self.current_epoch}, batch {batch_idx} (sequences {', '.join(map(str, self.numbers(batch)))})"
         also = f"; parameters that are not finite: {', '.join(broken)}" if broken else ""
         raise NotFiniteError(f"{what} in {where}{also}. Try a smaller learning_rate, or gradient_clip_val")
