@@ -17,9 +17,10 @@ class MarginalStopGradient(Copying):
     .. math:: w' = \frac{1}{N} \frac{p(x')}{\bar p(x')}, \qquad p(x') = \sum_j w_j f(x' \mid x_j), \qquad
         \bar p = p \text{ as a constant} .
 
-    In value that is 1/N: clouds, tracks and evidence are those of the scheme. `StopGradient` knows one ancestor only;
-    the sum over all of them has less variance and costs N^2 densities f of the motion a frame. Motion without a
-    density, such as S1's printed steps, cannot be had; take `exact` ones.
+    In value that is 1/N: clouds, tracks and evidence are those of the scheme. `StopGradient` knows the one ancestor
+    and follows the path of the particle; here the sum is over all ancestors, at the price of N^2 densities f a frame,
+    and the path counts as chance. Which varies less depends on the model: a motion with wide, learnable noise is better
+    followed. Motion without a density, such as S1's printed steps, cannot be had; take `exact` ones.
 
     Moved particles are known inside one call of a filter: between two calls the gradient is `StopGradient`'s.
 
