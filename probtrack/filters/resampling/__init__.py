@@ -6,6 +6,7 @@ from probtrack.filters.resampling.base import Ancestral as Ancestral
 from probtrack.filters.resampling.base import Copying as Copying
 from probtrack.filters.resampling.base import Law as Law
 from probtrack.filters.resampling.base import Resampler as Resampler
+from probtrack.filters.resampling.kernel import KernelMixture as KernelMixture
 from probtrack.filters.resampling.marginal import MarginalStopGradient as MarginalStopGradient
 from probtrack.filters.resampling.multinomial import multinomial as multinomial
 from probtrack.filters.resampling.multinomial import multinomial_ends as multinomial_ends

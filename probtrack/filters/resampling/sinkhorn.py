@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from probtrack.filters.resampling.spread import half_squared_distances
+
 _ANNEAL = 4.0  # epsilon falls by that from stage to stage
 _ROUND = 8  # iterations between looks at the error, in which a kernel of float32 neither over- nor underflows
 
@@ -31,7 +33,7 @@ def potentials(
         B. Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized transport problems", SIAM J. Sci.
         Comput. 41(3), 2019: absorption of the scalings, and scaling of epsilon.
     """
-    cost, log_weight = cost_of(points), weight.log()
+    cost, log_weight = half_squared_distances(points, points), weight.log()
     kernel = torch.empty_like(cost)  # the one large buffer: fresh memory costs more than the work on it
     g, left = torch.zeros_like(weight), iterations
     stage = (cost.amax((1, 2)) / _ANNEAL**2).clamp_min(epsilon)[:, None]
@@ -52,7 +54,7 @@ def potentials(
 
 def transport_plan(points: Tensor, weight: Tensor, f: Tensor, g: Tensor, epsilon: float) -> Tensor:
     """Return the plan P (B, N, N) of `potentials`."""
-    exponent = (f[:, :, None] + g[:, None] - cost_of(points)).div_(epsilon)
+    exponent = (f[:, :, None] + g[:, None] - half_squared_distances(points, points)).div_(epsilon)
     return exponent.exp_().mul_(weight[:, None] / weight.shape[1])
 
 
@@ -83,12 +85,6 @@ def plan_gradients(plan: Tensor, points: Tensor, grad: Tensor, epsilon: float) -
     lam = size * (rows - _times(plan, mu))
     of_cost = (plan * (lam[:, :, None] + mu[:, None]) - through) / epsilon
     return -(of_cost + of_cost.mT) @ points, weight * mu
-
-
-def cost_of(points: Tensor) -> Tensor:
-    """Return half the squared distances (B, N, N) of points (B, N, D) whose centre is near 0."""
-    half = 0.5 * points.square().sum(-1)
-    return torch.baddbmm(half[:, :, None] + half[:, None], points, points.mT, alpha=-1).clamp_min_(0)
 
 
 def _scaled(kernel: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, float]:

@@ -11,8 +11,7 @@ from torch.autograd.function import once_differentiable
 from probtrack._checks import as_positive, check_int
 from probtrack.filters.resampling.base import Resampler
 from probtrack.filters.resampling.sinkhorn import plan_gradients, potentials, transport_plan
-
-_NARROWEST = 1e-2  # of the spread of the particles, what the spread of the weighted cloud is taken for at least
+from probtrack.filters.resampling.spread import centre_and_spread
 
 
 @dataclass(frozen=True)
@@ -64,20 +63,13 @@ class OptimalTransport(Resampler):
         equal = torch.full_like(log_weight, -math.log(log_weight.shape[-1]), requires_grad=False)
         size, dim = state.shape[-2:]
         clouds, weights = state.reshape(-1, size, dim), log_weight.reshape(-1, size)
-        centre, scale = _centre_and_scale(clouds.detach(), weights.detach().exp())
+        centre, spread = centre_and_spread(clouds.detach(), weights.detach().exp())
+        # a dimension in which all particles agree costs nothing
+        scale = torch.where(spread > 0, spread * dim**0.5, 1.0)
         moved: Tensor = _Transported.apply((clouds - centre) / scale, weights, self)
         moved = torch.addcmul(centre, moved, scale)
         # variables first in memory, like all clouds
         return moved.movedim(-1, 0).contiguous().view(dim, *log_weight.shape).movedim(0, -1), equal
-
-
-def _centre_and_scale(clouds: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the weighted means (B, 1, D) of clouds (B, N, D) and the units s sqrt(D) of each dimension (B, 1, D)."""
-    centre = weight[:, None] @ clouds
-    squares = (clouds - centre).square()
-    variance = torch.maximum(weight[:, None] @ squares, _NARROWEST**2 * squares.mean(1, keepdim=True))
-    # a dimension in which all particles agree costs nothing
-    return centre, torch.where(variance > 0, variance * clouds.shape[-1], 1.0).sqrt()
 
 
 def _without_specks(weight: Tensor) -> Tensor:
