@@ -21,8 +21,7 @@ from torch import Tensor
 from benchmarks.pairs import Row, missing_row, peer, ratio_row, spread
 from probtrack.dynamics import CoordinateUncoupled, lehmann2007
 from probtrack.filters import ParticleFilter, Resampler, StopGradient
-from probtrack.filters.resampling import Soft, systematic
-from probtrack.filters.resampling.transport import OptimalTransport
+from probtrack.filters.resampling import OptimalTransport, Soft, systematic
 from probtrack.likelihoods import GaussianPosition
 
 _SEQUENCES, _FRAMES, _PARTICLES = 32, 100, 100

@@ -32,7 +32,8 @@ class Autoregressive(Dynamics):
         self.state_dim = self.noise_dim = self.axes = dim
 
     def forward(self, state: Tensor, dt: float | Tensor) -> Independent:  # noqa: ARG002 - a frame is the unit of time
-        law = Normal(self.coefficient * state, self.log_std.exp().expand_as(state), validate_args=False)
+        coefficient, std = _aligned(self.coefficient, state), _aligned(self.log_std, state).exp()
+        law = Normal(coefficient * state, std.expand_as(state), validate_args=False)
         return Independent(law, 1, validate_args=False)
 
     def transition(self, dt: float | Tensor) -> Transition:  # noqa: ARG002
@@ -125,3 +126,10 @@ class Volatility(Likelihood):
     def forward(self, observation: Tensor, kinematics: Kinematics) -> Tensor:
         state = kinematics.position
         return (-0.5 * (observation.square() * (-state).exp() + state)).sum(-1) - _LOG_ROOT - math.log(self.scale)
+
+
+def _aligned(parameter: Tensor, state: Tensor) -> Tensor:
+    """Return `parameter` (*batch, 1, 1) or () with as many dimensions as `state` (*batch, ..., N, D)."""
+    if parameter.ndim == 0:
+        return parameter
+    return parameter.view(*parameter.shape[:-2], *[1] * (state.ndim - parameter.ndim + 2))

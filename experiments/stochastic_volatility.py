@@ -35,7 +35,7 @@ PUBLISHED = {  # error of alpha, standard deviation of the gradient
     "stop-gradient": (0.0062, 1.17),
     "marginal stop-gradient": (0.0052, 0.48),
     "optimal transport": (0.084, 12.95),
-    "kernel": (0.0039, 0.35),
+    "kernel mixture": (0.0039, 0.35),
 }
 
 COSTLY = ("optimal transport",)  # learned from a fifth of the starts
