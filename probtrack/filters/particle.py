@@ -230,7 +230,7 @@ class ParticleFilter(nn.Module):
             predicted = log_weight
             if relocate is not None:
                 rest = normal.shape[-1] - motion_noise
-                state, relocated, log_proposal = relocate(state, normal.narrow(-1, motion_noise, rest))
+                state, relocated, log_proposal = relocate(state, log_weight, normal.narrow(-1, motion_noise, rest))
                 predicted, normal = predicted + relocated, normal.narrow(-1, 0, motion_noise)
                 if log_proposal is not None:
                     clouds.log_proposal.append(log_proposal)

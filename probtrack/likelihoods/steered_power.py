@@ -45,13 +45,11 @@ class PreparedPower(NamedTuple):
         gcc: Pair correlations (T, *batch, P, K).
         clutter: Density of a clutter measurement, q_0 / |D|, (T, *batch, 1).
         target: What multiplies P^r, gamma (1 - q_0), (T, *batch, 1).
-        on_grid: Power at the points of the grid (T, *batch, G).
     """
 
     gcc: Tensor
     clutter: Tensor
     target: Tensor
-    on_grid: Tensor
 
 
 class SteeredPowerLikelihood(Likelihood):
@@ -74,6 +72,8 @@ class SteeredPowerLikelihood(Likelihood):
             needs one: next to it a small step is a large angle, and a talker who walks past is explained best
             by particles that crowd between the microphones.
         grid_points: About how many points the integral is a mean of.
+        map_points: About how many cells `evidence_map` has. At 3 kHz a peak is a few cm wide: on 1600 cells of S1's
+            room the largest power, added up over a quarter of a second, is at the talker 80 % of the time, on 400 60 %.
 
     Shape:
         `prepare` takes observations with `gcc` (T, *batch, P, K) and `speech` (T, *batch). Returns (*batch, N).
@@ -95,6 +95,7 @@ class SteeredPowerLikelihood(Likelihood):
         exponent: float = 2.0,
         keep_out: float = 0.0,
         grid_points: int = 400,
+        map_points: int = 1600,
     ) -> None:
         super().__init__()
         self.power, self.region = power, region
@@ -105,8 +106,11 @@ class SteeredPowerLikelihood(Likelihood):
             raise InputError(f"the region holds no place that is keep_out = {keep_out:g} m from every microphone")
         self.keep_out, self.volume = keep_out, region.volume * float(free.double().mean())
         self.power_on_grid = power.at(grid[free])
-        self.register_buffer("cells", grid[free], persistent=False)
-        self.register_buffer("cell_size", region.cell_size(grid_points), persistent=False)
+        cells = region.grid(check_int(map_points, "map_points", low=1))
+        cells = cells[power.distances(cells).amin(-1) >= keep_out]
+        self.power_on_map = power.at(cells)
+        self.register_buffer("cells", cells, persistent=False)
+        self.register_buffer("cell_size", region.cell_size(map_points), persistent=False)
         self.register_buffer("low", torch.tensor(region.low), persistent=False)
         self.register_buffer("high", torch.tensor(region.high), persistent=False)
 
@@ -114,14 +118,14 @@ class SteeredPowerLikelihood(Likelihood):
         gcc, speech = observations.gcc, observations.speech[..., None]
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
-        on_grid = self.power_on_grid(gcc).clamp_min(_SMALLEST_POWER)
-        mean = self._to_the_exponent(on_grid).mean(-1, keepdim=True)
+        mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
         mean = mean.clamp_min(torch.finfo(mean.dtype).tiny)  # a large exponent may leave nothing of any power
-        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean), on_grid)
+        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean))
 
     def evidence_map(self, prepared: PreparedPower) -> EvidenceMap:
         """Return the logarithm of the steered power, without gradient."""
-        return EvidenceMap(prepared.on_grid.detach().log(), self.cells, self.cell_size)
+        power = self.power_on_map(prepared.gcc.detach()).clamp_min(_SMALLEST_POWER)
+        return EvidenceMap(power.log(), self.cells, self.cell_size)
 
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
         position = kinematics.position
