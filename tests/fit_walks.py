@@ -45,7 +45,7 @@ class WalkFit(Fit):
     def outcome(self, batch, seeds):
         steps = batch[1]
         noise = torch.stack([torch.randn((), generator=torch.Generator().manual_seed(int(s))) for s in seeds])
-        log_p = Normal(self.model.drift, self.model.log_scale.exp()).log_prob(steps)
+        log_p = Normal(self.model.drift, self.model.log_scale.exp(), validate_args=False).log_prob(steps)
         log_kind = self.model.logit_initial.log_softmax(-1)[batch[0] % 3 // 2]
         return -log_p.mean((1, 2)) - log_kind / 20 + 0.1 * noise * self.model.log_scale
 

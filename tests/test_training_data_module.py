@@ -10,7 +10,7 @@ from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray
 from probtrack.simulation import read_manifest
 from probtrack.training import Lehmann2007FrontEnd, SceneDataset, SceneSampler, front_end_key
-from probtrack.training.batches import batches_of_one_length
+from probtrack.training.batches import BatchesOfOneLength
 from probtrack.training.splitting import split_by_scene
 
 lightning = pytest.importorskip("lightning")
@@ -112,7 +112,11 @@ def test_workers_do_not_change_the_numbers(data_set, tmp_path):
 def test_tests_are_whole_and_in_batches_of_one_length(data_set):
     dataset = SceneDataset(data_set)
     dataset.num_frames = lambda number: [7, 9, 7, 7, 9, 7][number]
-    assert batches_of_one_length(dataset, 3) == [[0, 2, 3], [5], [1, 4]]
+    lengths = [dataset.num_frames(number) for number in range(6)]
+    batches = BatchesOfOneLength(range(6), 3, drop_last=False, lengths=lengths)
+    assert list(batches) == [[0, 2, 3], [5], [1, 4]]
+    assert len(batches) == 3
+    assert list(BatchesOfOneLength([1, 2, 4, 5], 3, drop_last=False, lengths=lengths)) == [[1, 4], [2, 5]]
     data = SceneDataModule(str(data_set), test=[str(data_set / "0_+5dB")], crop=10)
     with pytest.raises(InputError, match="is both for train and for test"):
         data.setup()

@@ -4,6 +4,7 @@ import importlib.metadata
 import logging
 import sys
 import warnings
+from argparse import ArgumentError
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ import yaml
 from jsonargparse import Namespace
 
 from probtrack.cli import flags
+from probtrack.cli.config_errors import in_one_line
 from probtrack.errors import InputError
 from probtrack.training import Fit, write_parameters
 from probtrack.training.checkpoints import BEST, LAST, Checkpoints, check_checkpoint, load_weights
@@ -63,8 +65,8 @@ def parser() -> FitParser:
     by.add_argument(
         "--lr_scheduler", type=LRSchedulerCallable | None, help="class of a learning rate schedule and its arguments"
     )
-    by.add_lightning_class_args(Fit, "model", subclass_mode=True)
-    by.add_lightning_class_args(LightningDataModule, "data", subclass_mode=True)
+    by.add_argument("--model", type=Fit, required=True, help="class of the fit and its arguments")
+    by.add_argument("--data", type=LightningDataModule, required=True, help="class of the data and its arguments")
     by.add_lightning_class_args(Patience, "early_stopping")
     by.add_lightning_class_args(Trainer, "trainer")
     by.set_defaults({f"trainer.{name}": value for name, value in _TRAINER.items()})
@@ -76,11 +78,11 @@ def run(argv: Sequence[str]) -> int:
     file = Path(argv[0]) if argv and not argv[0].startswith("-") else None
     with _importable(file), _plain_words():
         by = parser()
-        config = flags.parsed(by, argv)
+        config = _parsed(by, argv)
         out = Path(config.out)
         check_run_output(out, config.ckpt_path)
         seed_everything(config.seed_everything, workers=True, verbose=False)
-        made = by.instantiate_classes(config)
+        made = _made(by, config)
         checkpoint = _checkpoint(out, config.ckpt_path)
         step = 0 if checkpoint is None else check_checkpoint(checkpoint, made.model)["global_step"]
         trainer = _trainer(made, out, step)
@@ -93,6 +95,22 @@ def run(argv: Sequence[str]) -> int:
     return 0
 
 
+def _parsed(by: FitParser, argv: Sequence[str]) -> Namespace:
+    try:
+        return by.parse_args(argv)
+    except (ArgumentError, ValueError, OSError) as error:
+        raise InputError(in_one_line(str(error))) from None
+
+
+def _made(by: FitParser, config: Namespace) -> Namespace:
+    """Return the objects that a configuration describes; what their constructors refuse is the user's mistake."""
+    try:
+        made: Namespace = by.instantiate(config)
+    except ValueError as error:
+        raise InputError(in_one_line(str(error))) from None
+    return made
+
+
 def check_run_output(out: Path, ckpt_path: str | None) -> None:
     """Raise `InputError` where `out` holds a run that is not to be gone on with, or something else."""
     if not _first_process():
@@ -100,12 +118,10 @@ def check_run_output(out: Path, ckpt_path: str | None) -> None:
     try:
         if out.exists() and not out.is_dir():
             raise InputError(f"{out}: is not a folder")
-        if (out / _CONFIG).exists():
-            if ckpt_path is None:
-                raise InputError(f"{out}: holds a run: name another folder, or go on with it by --ckpt_path last")
-        elif out.exists() and any(out.iterdir()):
+        if (out / _CHECKPOINTS / LAST).exists() and ckpt_path is None:
+            raise InputError(f"{out}: holds a run: name another folder, or go on with it by --ckpt_path last")
+        if out.exists() and any(out.iterdir()) and not (out / _CONFIG).exists():
             raise InputError(f"{out}: is not empty and holds no run: name another folder")
-        (out / _CHECKPOINTS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot write the run: {error.strerror}") from None
 
@@ -124,8 +140,7 @@ def _checkpoint(out: Path, ckpt_path: str | None) -> Path | None:
         return path
     if ckpt_path == "best":
         raise InputError(f"{path}: there is none: the run has no validation, or no epoch")
-    if (out / _CONFIG).exists():
-        flags.warn("fit", f"{path}: there is none: the run ended in its first epoch, and begins anew")
+    flags.warn("fit", f"{path}: there is none: the run begins with its first epoch")
     return None
 
 
@@ -163,8 +178,13 @@ def _fit(trainer: Trainer, model: Fit, data: LightningDataModule, checkpoint: Pa
 
 
 def _write_config(out: Path, text: str) -> None:
-    if _first_process():
+    if not _first_process():
+        return
+    try:
+        (out / _CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         (out / _CONFIG).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{out}: cannot write the run: {error.strerror}") from None
 
 
 def _result(out: Path, model: Fit, config: dict[str, Any]) -> str:
@@ -177,7 +197,7 @@ def _result(out: Path, model: Fit, config: dict[str, Any]) -> str:
     made_by = {
         "probtrack": importlib.metadata.version("probtrack"),
         "epochs": last["epoch"] + 1,
-        "epoch": content["epoch"],
+        "epoch": content["epoch"] + 1,
         "val_loss": loss if chosen.name == BEST else None,
         "config": config,
     }
@@ -206,7 +226,8 @@ def _plain_words() -> Iterator[None]:
         log.setLevel(logging.WARNING)
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", ".*does not have many workers.*")
+            for what in ("does not have many workers", "across ranks is zero"):  # both are as they should be
+                warnings.filterwarnings("ignore", f".*{what}.*")
             for kind in (DeprecationWarning, FutureWarning):  # of libraries among each other
                 warnings.simplefilter("ignore", kind)
             warnings.showwarning = lambda message, *_: flags.warn("fit", " ".join(str(message).split()))

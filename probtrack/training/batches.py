@@ -1,16 +1,16 @@
 """Batches of recordings, and the order in which they come."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils.data import Sampler
+from torch.utils.data import BatchSampler, Sampler
 
 from probtrack._checks import check_int
 from probtrack.audio import Observations
 from probtrack.errors import InputError
-from probtrack.training.scene_data import FrameGrid, SceneDataset, SceneItem
+from probtrack.training.scene_data import FrameGrid, SceneItem
 from probtrack.training.seeds import seed_of
 from probtrack.training.truth_at import TruthFrames
 
@@ -111,15 +111,28 @@ class SceneSampler(Sampler[tuple[int, int]]):
         self.epoch = epoch
 
 
-def batches_of_one_length(dataset: SceneDataset, batch_size: int) -> list[list[int]]:
-    """Return the recordings of `dataset` in batches of at most `batch_size` with equal numbers of frames.
+class BatchesOfOneLength(BatchSampler):
+    """Recordings in batches of equal numbers of frames, so that they can be tested whole, and many at a time.
 
-    So that recordings can be tested whole, and many at a time.
+    Args:
+        sampler: Recordings that are wanted: of several processes each has its own, which Lightning puts here.
+        batch_size: Recordings in a batch, at most.
+        drop_last: Must be False: Lightning's manner of making such samplers anew.
+        lengths: Number of frames of every recording.
     """
-    groups: dict[int, list[int]] = {}
-    for number in range(len(dataset)):
-        groups.setdefault(dataset.num_frames(number), []).append(number)
-    return [group[i : i + batch_size] for group in groups.values() for i in range(0, len(group), batch_size)]
+
+    def __init__(self, sampler: Iterable[int], batch_size: int, drop_last: bool, lengths: Sequence[int]) -> None:
+        self.sampler, self.batch_size, self.drop_last, self.lengths = sampler, batch_size, drop_last, lengths
+
+    def __iter__(self) -> Iterator[list[int]]:
+        groups: dict[int, list[int]] = {}
+        for number in self.sampler:
+            groups.setdefault(self.lengths[number], []).append(number)
+        size = self.batch_size
+        return iter([group[i : i + size] for group in groups.values() for i in range(0, len(group), size)])
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def _talkers(item: SceneItem) -> int | None:

@@ -1,6 +1,7 @@
 """What a run writes after each epoch, so that it can go on after any end. Nothing in a file is ever executed."""
 
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +63,12 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         InputError: for a file that cannot be read, is empty, truncated or no checkpoint, or wants to run code.
     """
     path = Path(path)
+    if path.is_file() and path.stat().st_size == 0:
+        raise InputError(f"{path}: the checkpoint is empty")
     try:
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: the checkpoint is empty")
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of protocols of files that are refused
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         raise InputError(f"{path}: cannot read the checkpoint: {error.strerror}") from None
     except pickle.UnpicklingError as error:

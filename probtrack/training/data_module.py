@@ -9,7 +9,7 @@ from probtrack._checks import check_int
 from probtrack.audio import FrontEnd
 from probtrack.errors import InputError
 from probtrack.simulation import SceneFolder
-from probtrack.training.batches import SceneBatch, SceneSampler, batches_of_one_length, collate
+from probtrack.training.batches import BatchesOfOneLength, SceneBatch, SceneSampler, collate
 from probtrack.training.scene_data import SceneDataset, arrays_of, scene_folders
 from probtrack.training.settings import FrontEndSettings
 from probtrack.training.splitting import split_by_scene
@@ -155,7 +155,9 @@ class SceneDataModule(LightningDataModule):
         if name not in self.datasets:
             return []
         dataset = self.datasets[name]
-        return self._loader(dataset, batch_sampler=batches_of_one_length(dataset, self.batch_size))
+        lengths = [dataset.num_frames(number) for number in range(len(dataset))]
+        batches = BatchesOfOneLength(range(len(dataset)), self.batch_size, drop_last=False, lengths=lengths)
+        return self._loader(dataset, batch_sampler=batches)
 
     def _loader(
         self,
@@ -163,7 +165,7 @@ class SceneDataModule(LightningDataModule):
         *,
         batch_size: int = 1,
         sampler: SceneSampler | None = None,
-        batch_sampler: list[list[int]] | None = None,
+        batch_sampler: BatchesOfOneLength | None = None,
     ) -> DataLoader[SceneBatch]:
         return DataLoader(
             dataset,  # type: ignore[arg-type]  # what it gives is collated

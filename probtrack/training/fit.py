@@ -1,6 +1,7 @@
 """The training step that all fits share. Imports Lightning, so that it is loaded when it is first named only."""
 
 import abc
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -79,11 +80,24 @@ class Fit(LightningModule, abc.ABC):
         self._batch = (batch, batch_idx)
         return loss
 
-    def validation_step(self, batch: Any, batch_idx: int) -> None:
+    def on_validation_epoch_start(self) -> None:
+        self._validated: dict[tuple[int, int], float] = {}
+
+    def validation_step(self, batch: Any, batch_idx: int, dataloader_idx: int = 0) -> None:
         runs = self.run_loss(batch, _VALIDATION)
         if not runs.isfinite().all():
             self._refuse(f"the validation loss is {runs.mean().item()}", batch, batch_idx)
-        self.log("val/loss", runs.mean(), batch_size=len(runs), sync_dist=True)
+        keys = [(dataloader_idx, number) for number in self.numbers(batch)]
+        self._validated.update(zip(keys, runs.tolist(), strict=True))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the mean loss of the validation sequences: each once, though several processes fill up their shares."""
+        parts = [self._validated]
+        if self.trainer.world_size > 1:
+            parts = [{} for _ in range(self.trainer.world_size)]
+            torch.distributed.all_gather_object(parts, self._validated)
+        losses = {key: loss for part in parts for key, loss in part.items()}
+        self.log("val/loss", math.fsum(losses.values()) / len(losses), sync_dist=True)
 
     def on_after_backward(self) -> None:
         """Refuse gradients that are not finite before they reach a parameter."""
@@ -114,6 +128,7 @@ class Fit(LightningModule, abc.ABC):
     def _refuse(self, what: str, batch: Any, batch_idx: int) -> None:
         # the logarithm of a probability of 0 is a parameter as good as any
         broken = [name for name, p in self.model.named_parameters() if p.isnan().any() or p.isposinf().any()]
-        where = f"epoch {self.current_epoch}, batch {batch_idx} (sequences {', '.join(map(str, self.numbers(batch)))})"
+        numbers = ", ".join(map(str, self.numbers(batch)))
+        where = f"epoch {self.current_epoch + 1}, batch {batch_idx + 1} (sequences {numbers})"
         also = f"; parameters that are not finite: {', '.join(broken)}" if broken else ""
         raise NotFiniteError(f"{what} in {where}{also}. Try a smaller learning_rate, or gradient_clip_val")

@@ -68,7 +68,7 @@ class MetricsTable(Callback):
         rate = trainer.optimizers[0].param_groups[0]["lr"]
         logged = {name: float(value) for name, value in sorted(trainer.callback_metrics.items())}
         parameters = {f"parameter/{name}": value for name, value in physical_summary(pl_module.model).items()}  # type: ignore[arg-type]
-        row = {"epoch": trainer.current_epoch, "step": trainer.global_step, "learning_rate": rate}
+        row = {"epoch": trainer.current_epoch + 1, "step": trainer.global_step, "learning_rate": rate}
         self.rows.append(row | logged | parameters)
         beside = self.path.with_suffix(".tmp")
         with beside.open("w", newline="", encoding="utf-8") as file:
