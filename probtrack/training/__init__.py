@@ -29,6 +29,8 @@ from probtrack.training.scene_data import SceneDataset as SceneDataset
 from probtrack.training.scene_data import SceneItem as SceneItem
 from probtrack.training.settings import FrontEndSettings as FrontEndSettings
 from probtrack.training.settings import Lehmann2007FrontEnd as Lehmann2007FrontEnd
+from probtrack.training.settings import Lehmann2007Settings as Lehmann2007Settings
+from probtrack.training.settings import TrackerSettings as TrackerSettings
 from probtrack.training.trajectories import Trajectory as Trajectory
 from probtrack.training.trajectories import TrajectoryBatch as TrajectoryBatch
 from probtrack.training.trajectories import TrajectoryDataset as TrajectoryDataset
@@ -40,10 +42,12 @@ from probtrack.training.trajectories_sampled import TrajectorySource as Trajecto
 from probtrack.training.trajectories_sampled import WalkedTrajectories as WalkedTrajectories
 from probtrack.training.truth_at import TruthFrames as TruthFrames
 from probtrack.training.truth_at import truth_at as truth_at
+from probtrack.training.windows import run_in_windows as run_in_windows
 
 if TYPE_CHECKING:
     from probtrack.training.data_module import SceneDataModule as SceneDataModule
     from probtrack.training.fit import Fit as Fit
+    from probtrack.training.scene_fit import SceneFit as SceneFit
     from probtrack.training.trajectories_data_module import TrajectoryDataModule as TrajectoryDataModule
     from probtrack.training.trajectories_fit import TrajectoryFit as TrajectoryFit
 
@@ -51,6 +55,7 @@ if TYPE_CHECKING:
 _LIGHTNING = {
     "SceneDataModule": "data_module",
     "Fit": "fit",
+    "SceneFit": "scene_fit",
     "TrajectoryDataModule": "trajectories_data_module",
     "TrajectoryFit": "trajectories_fit",
 }
@@ -59,4 +64,6 @@ _LIGHTNING = {
 def __getattr__(name: str) -> Any:
     if name in _LIGHTNING:
         return getattr(importlib.import_module(f"probtrack.training.{_LIGHTNING[name]}"), name)
+    if name == "bayesian":  # loads pyro's inference
+        return importlib.import_module("probtrack.training.bayesian")
     raise AttributeError(f"module 'probtrack.training' has no attribute {name!r}")

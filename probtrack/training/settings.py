@@ -1,12 +1,19 @@
-"""Front ends as settings of plain values, which a configuration file can say."""
+"""Front ends and trackers as settings of plain values, which a configuration file can say."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from probtrack._checks import check_int
 from probtrack.audio import FrontEnd
-from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region
-from probtrack.trackers import lehmann2007
+from probtrack.dynamics import Dynamics
+from probtrack.errors import InputError
+from probtrack.filters import ParticleFilter, Relocation, Resampler
+from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region, shipped_arrays
+from probtrack.likelihoods import Likelihood
+from probtrack.trackers import Tracker, lehmann2007
+from probtrack.trackers.lehmann2007 import Model
 
 
 class FrontEndSettings(ABC):
@@ -56,3 +63,82 @@ class Lehmann2007FrontEnd(FrontEndSettings):
             speed_of_sound=self.speed_of_sound,
         )
         return tracker.front_end
+
+
+class TrackerSettings(ABC):
+    """What makes a tracker: dataclasses of plain values and of models named by their classes."""
+
+    @abstractmethod
+    def make(self) -> Tracker:
+        """Return the tracker; `InputError` for values that cannot be."""
+
+
+@dataclass(frozen=True)
+class Lehmann2007Settings(TrackerSettings):
+    """The tracker of `trackers.lehmann2007`, any part of which may be another.
+
+    Args:
+        array: Array file, or the name of one that ships with probtrack.
+        low: Lowest corner of the region where talkers can be [m]; that of the array file if not given.
+        high: Its highest corner [m].
+        model: Motion model, by its name in S1's Table 1, or a model that switches between several.
+        num_particles: Particles N.
+        keep_out: No mouth is nearer than this to a microphone [m].
+        exponent: Exponent of the steered power to begin with.
+        front_end: Frames, band and voice activity.
+        fs: Working sampling rate [Hz].
+        relocation: How a lost talker is found again; not at all if None.
+        dynamics: A motion model of one's own in place of `model`.
+        likelihood: A likelihood of one's own in place of the steered power's.
+        resample: What happens to the cloud after each frame; systematic resampling on N_eff < 0.75 N if None.
+    """
+
+    array: str = "lehmann2007"
+    low: tuple[float, ...] | None = None
+    high: tuple[float, ...] | None = None
+    model: Model = "CU-LAN"
+    num_particles: int = 75
+    keep_out: float = 0.2
+    exponent: float = 2.0
+    front_end: Lehmann2007FrontEnd = Lehmann2007FrontEnd()
+    fs: int = 16_000
+    relocation: Relocation | None = None
+    dynamics: Dynamics | None = None
+    likelihood: Likelihood | None = None
+    resample: Resampler | None = None
+
+    def make(self) -> Tracker:
+        path = shipped_arrays().get(self.array, Path(self.array))
+        array = MicrophoneArray.from_yaml(path)
+        check_int(self.fs, "fs", low=1)
+        made = lehmann2007(
+            array,
+            self._region(path),
+            self.model,
+            num_particles=self.num_particles,
+            keep_out=self.keep_out,
+            exponent=self.exponent,
+            fs=self.fs,
+            frame_length=self.front_end.frame_length,
+            hop=self.front_end.hop,
+        )
+        standard = made.filter
+        tracked = ParticleFilter(
+            standard.dynamics if self.dynamics is None else self.dynamics,
+            standard.likelihood if self.likelihood is None else self.likelihood,
+            num_particles=self.num_particles,
+            resample=standard.resample if self.resample is None else self.resample,
+            origin=array.centre,
+            relocation=self.relocation,
+        )
+        return Tracker(self.front_end.make(array, self.fs), tracked, made.region, fs=self.fs)
+
+    def _region(self, path: Path) -> Region:
+        if self.low is not None and self.high is not None:
+            return Region(self.low, self.high)
+        if self.low is not None or self.high is not None:
+            raise InputError("low and high must be given together, the corners of the region")
+        region = Region.from_yaml(path)
+        if region is None:
+            raise InputError(f"{path}: has no region: give low and high, the corners of where talkers can be")
+        return region

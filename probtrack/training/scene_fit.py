@@ -1,0 +1,121 @@
+"""Trackers trained on recordings. Imports Lightning, so that it is loaded when it is first named only."""
+
+import zlib
+from collections.abc import Sequence
+from typing import cast
+
+from torch import Tensor
+
+from probtrack._checks import as_positive, check_int
+from probtrack.audio import Observations
+from probtrack.errors import InputError
+from probtrack.metrics import position_error
+from probtrack.trackers import Tracker
+from probtrack.training.batches import SceneBatch
+from probtrack.training.fit import Fit
+from probtrack.training.losses import Loss, Outcome, ProposalLoss
+from probtrack.training.settings import TrackerSettings
+from probtrack.training.windows import run_in_windows
+
+_LOST = 0.2  # m beyond which a frame of the validation counts as lost
+
+
+class SceneFit(Fit):
+    """A tracker in training on scenes: motion, likelihood, switching, proposal, and the front end if it is given sound.
+
+    A batch of sound is heard by the tracker's own front end, whose parameters (voice activity, frequency weights) then
+    learn with the rest; a batch of observations is what a front end heard that does not. The cloud begins around the
+    talker, as S1's do.
+
+    Args:
+        tracker: What is trained.
+        loss: What is made small; that of the proposal is added where the tracker has one.
+        warm_up: Frames at the beginning of each recording or crop that are heard but not tracked, so that voice
+            activity knows the noise floor.
+        start_std: Standard deviation of the cloud around the talker [m].
+        window: Frames that a gradient reaches back; all if None.
+        fixed: Parameters that are not trained, as beginnings of their names.
+        learning_rate: As in `Fit`.
+        seed: As in `Fit`.
+    """
+
+    def __init__(
+        self,
+        tracker: TrackerSettings,
+        loss: Loss,
+        *,
+        warm_up: int = 0,
+        start_std: float = 0.1,
+        window: int | None = 25,
+        fixed: Sequence[str] = ("front_end.gcc.whitening",),
+        learning_rate: float = 0.02,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(tracker.make(), loss, learning_rate=learning_rate, seed=seed)
+        self.warm_up = check_int(warm_up, "warm_up", low=0)
+        as_positive(start_std, "start_std")
+        self.start_std = start_std
+        self.window = None if window is None else check_int(window, "window", low=1)
+        self.proposal_loss = ProposalLoss()
+        self._fix(fixed)
+
+    @property
+    def tracker(self) -> Tracker:
+        """What is trained."""
+        return cast(Tracker, self.model)
+
+    def numbers(self, batch: SceneBatch) -> Sequence[int]:
+        return [
+            zlib.crc32(f"{name} {int(start)}".encode()) for name, start in zip(batch.names, batch.start, strict=True)
+        ]
+
+    def run_loss(self, batch: SceneBatch, draw: int) -> Tensor:
+        outcome = self.outcome(batch, self.seeds(batch, draw))
+        return self.loss(outcome) + self.proposal_loss(outcome)
+
+    def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
+        observations = self._observations(batch)
+        truth = batch.truth
+        if truth is None or truth.position is None:
+            raise InputError(f"{batch.names[0]}: has no positions in its truth, around which the filter could begin")
+        if truth.position.shape[-2] != 1:
+            raise InputError(f"{batch.names[0]}: has {truth.position.shape[-2]} talkers, this tracker follows one")
+        tracked = self.tracker.filter
+        position = truth.position[self.warm_up :, :, 0, : self.tracker.region.axes]
+        known = truth.known[self.warm_up :, :, 0]
+        noise = tracked.noise(seeds)
+        belief = tracked.spread_around(position[0], noise, std=self.start_std)
+        cloud = run_in_windows(tracked, belief, observations, self.tracker.dt, noise, self.window)
+        return Outcome(cloud, tracked.dynamics.kinematics(cloud.state), position, known)
+
+    def validation_step(self, batch: SceneBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """Log the loss, the root mean square error [m] and the share of frames that are lost."""
+        super().validation_step(batch, batch_idx, dataloader_idx)
+        outcome = self.outcome(batch, self.seeds(batch, 0))
+        estimate = (outcome.cloud.log_weight.exp()[..., None] * outcome.kinematics.position).sum(-2)
+        assert outcome.truth is not None
+        error = position_error(estimate, outcome.truth)
+        self.log("val/rmse", error.square().mean(0).sqrt().mean(), prog_bar=True, batch_size=error.shape[1])
+        self.log("val/lost", (error > _LOST).float().mean(), prog_bar=True, batch_size=error.shape[1])
+
+    def _observations(self, batch: SceneBatch) -> Observations:
+        """Return what is heard after the warm-up, (T, B, ...)."""
+        if batch.num_frames <= self.warm_up:
+            raise InputError(f"warm_up must be shorter than crops, got {self.warm_up} of {batch.num_frames} frames")
+        if batch.observations is not None:
+            return Observations(*(x[self.warm_up :] for x in batch.observations))
+        assert batch.audio is not None
+        front_end = self.tracker.front_end
+        frames = front_end.stft(batch.audio)
+        speech, _ = front_end.vad(frames)
+        # correlations are dear, and nobody asks for those of the warm-up
+        return Observations(front_end.gcc(frames.spectrum[self.warm_up :]), speech[self.warm_up :])
+
+    def _fix(self, fixed: Sequence[str]) -> None:
+        names = [name for name, _ in self.model.named_parameters()]
+        for beginning in fixed:
+            if not any(name.startswith(beginning) for name in names):
+                raise InputError(f"fixed: no parameter begins with {beginning!r}: there are {', '.join(names)}")
+        for name, parameter in self.model.named_parameters():
+            if name.startswith(tuple(fixed)):
+                parameter.requires_grad_(False)
