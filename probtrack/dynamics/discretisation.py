@@ -45,7 +45,7 @@ def exact(process: ScalarProcess, order: int, dt: float | Tensor) -> tuple[Tenso
         )
     powers = _powers(step.double(), order)
     root = torch.linalg.cholesky(covariances(elapsed, order))
-    gain = intensity.double() * step.double().sqrt()[..., None, None] * powers[..., :, None] * root
+    gain = (intensity.double() * step.double().sqrt())[..., None, None] * powers[..., :, None] * root
     return _drift(process, order, dt), gain.to(step.dtype)
 
 
