@@ -72,25 +72,26 @@ def draw(rows: list[Row], output: Path) -> None:
     )
     bottom[3].set(xlabel="cost over naive", xscale="log", yticks=[], ylim=(len(here) - 0.5, -0.5))
     bottom[3].axvline(1, color="black", lw=0.8)
-    title = f"{first['model']}: T = {first['frames']}, N = {first['particles']} above; thick: bias, thin: chance"
+    title = f"{first['model']}: T = {first['frames']}, N = {first['particles']} above; dot: mean error, thick: bias, thin: all error, dashed: exact gradient"
     figure.suptitle(title, fontsize=11)
     figure.savefig(output, dpi=80)
 
 
 def _bars(axis: "Axes", rows: list[Row], name: str, colours: dict[str, str]) -> None:
-    """Draw the mean error with two standard errors, and as thin bars what chance does to one run."""
+    """Draw around zero how large bias (thick) and all of the error (thin) are, and the mean error as a dot."""
     for place, row in enumerate(rows):
         error, colour = row["error"][name], colours[row["scheme"]]
-        axis.plot([error["bias"] - error["chance"], error["bias"] + error["chance"]], [place] * 2, color=colour, lw=1)
-        axis.plot(
-            [error["bias"] - error["rms_bias"], error["bias"] + error["rms_bias"]], [place] * 2, color=colour, lw=6,
-            alpha=0.5, solid_capstyle="butt",
-        )  # fmt: skip
+        total = (error["rms_bias"] ** 2 + error["chance"] ** 2) ** 0.5
+        axis.plot([-total, total], [place] * 2, color=colour, lw=1.5)
+        thick = [-error["rms_bias"], error["rms_bias"]]
+        axis.plot(thick, [place] * 2, color=colour, lw=7, alpha=0.5, solid_capstyle="butt")
         axis.errorbar(error["bias"], place, xerr=2 * error["se"], fmt="o", color=colour, ms=5, capsize=3)
     axis.axvline(0, color="black", lw=0.8)
+    if name in rows[0]["exact_std"]:
+        for sign in (-1, 1):
+            axis.axvline(sign * rows[0]["exact_std"][name], color="black", ls=(0, (4, 2)), lw=1)
     title = f"error of {name}" if name == "log evidence" else f"error of ∂/∂{name}"
     axis.set(title=title, ylim=(len(rows) - 0.5, -0.5))
-    axis.set_xscale("symlog", linthresh=10)
     axis.grid(axis="x", color="0.9")
 
 
