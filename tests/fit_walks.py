@@ -32,10 +32,21 @@ class Given(Loss):
 
 
 class WalkFit(Fit):
-    """Unlikeliness of the steps, with a term of the seeds' own numbers, as a filter has."""
+    """Unlikeliness of the steps, with a term of the seeds' own numbers, as a filter has.
 
-    def __init__(self, scale: float = 1.0, learning_rate: float = 0.05, seed: int = 0, width: int = 2) -> None:
+    Args:
+        scale: Initial standard deviation of a step.
+        learning_rate: Step of Adam.
+        seed: Of the term.
+        width: Coordinates of a step.
+        steep: Add |drift|, whose gradient at 0 is not a number.
+    """
+
+    def __init__(
+        self, scale: float = 1.0, learning_rate: float = 0.05, seed: int = 0, width: int = 2, steep: bool = False
+    ) -> None:
         super().__init__(Walk(scale), Given(), learning_rate=learning_rate, seed=seed)
+        self.steep = steep
         if width != 2:
             self.model.drift = nn.Parameter(torch.zeros(width))
 
@@ -47,7 +58,8 @@ class WalkFit(Fit):
         noise = torch.stack([torch.randn((), generator=torch.Generator().manual_seed(int(s))) for s in seeds])
         log_p = Normal(self.model.drift, self.model.log_scale.exp(), validate_args=False).log_prob(steps)
         log_kind = self.model.logit_initial.log_softmax(-1)[batch[0] % 3 // 2]
-        return -log_p.mean((1, 2)) - log_kind / 20 + 0.1 * noise * self.model.log_scale
+        length = self.model.drift.square().sum().sqrt() if self.steep else 0.0
+        return length - log_p.mean((1, 2)) - log_kind / 20 + 0.1 * noise * self.model.log_scale
 
 
 class Steps(Dataset):

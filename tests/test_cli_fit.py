@@ -294,3 +294,12 @@ def test_what_failed_before_its_first_checkpoint_may_begin_again(capsys):
     one_line(capsys, fit("--data.init_args.broken=0"), "the loss is nan in epoch 1")
     assert fit("--trainer.max_epochs=1", "--ckpt_path=last") == 0
     assert "last.ckpt: there is none: the run begins with its first epoch" in capsys.readouterr().err
+
+
+def test_on_a_terminal_a_bar_shows_losses_and_parameters(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert fit("--trainer.max_epochs=2") == 0
+    said = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", capsys.readouterr().err)  # colours and movements of the cursor
+    assert re.search(r"Epoch 1/1.* 3/3 .*train/loss: [\d.]+  val/loss: [\d.]+  scale: 1\.\d+", said)
+    assert "epoch 1/2" not in said

@@ -10,6 +10,7 @@ from typing import Any
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.callbacks.progress.rich_progress import RichProgressBarTheme
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from probtrack.training.physical import physical_summary
 
@@ -29,6 +30,10 @@ class FitProgress(RichProgressBar):
     ) -> None:
         self._loss = {"train/loss": float(outputs["loss"])}  # of the batch: the mean comes when the epoch ends
         super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+
+    def configure_columns(self, trainer: Trainer) -> list[ProgressColumn]:  # noqa: ARG002
+        named = TextColumn("{task.description}")
+        return [named, BarColumn(bar_width=20), MofNCompleteColumn(), TimeRemainingColumn(compact=True)]
 
     def get_metrics(self, trainer: Trainer, pl_module: LightningModule) -> dict[str, Any]:
         return self._loss | _now(trainer, pl_module) | self._loss
