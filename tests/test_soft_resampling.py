@@ -162,3 +162,19 @@ def test_evidence_of_the_filter_is_unbiased(resample):
 def test_rejects_a_share_that_is_none(bad):
     with pytest.raises(InputError, match=r"share must be in \(0, 1\], got"):
         Soft(systematic, bad)
+
+
+@torch.no_grad()
+def test_weights_sum_to_one_where_no_particle_was_possible():
+    class Near(GaussianPosition):
+        def forward(self, observation, kinematics):
+            away = observation.position.abs().amax(-1) > 50
+            return super().forward(observation, kinematics).masked_fill(away, -math.inf)
+
+    bootstrap = ParticleFilter(Walk(), Near(0.4), num_particles=12, resample=Soft(systematic, 0.3))
+    noise = bootstrap.noise(torch.arange(3))
+    y = torch.zeros(4, 3, 2)
+    y[2] = 1e3
+    _, cloud = bootstrap.run(bootstrap.spread_around(torch.zeros(3, 2), noise), y, 0.5, noise)
+    assert cloud.lost.sum() == 3
+    torch.testing.assert_close(cloud.log_weight.exp().sum(-1), torch.ones(4, 3))

@@ -6,7 +6,8 @@ from torch import Tensor
 from probtrack.filters.resampling.spread import half_squared_distances
 
 _ANNEAL = 4.0  # epsilon falls by that from stage to stage
-_ROUND = 8  # iterations between looks at the error, in which a kernel of float32 neither over- nor underflows
+_ROUND = 8  # iterations between looks at the error
+_LARGE = 1e10  # scaling beyond which the kernel is made anew, well before float32 overflows
 
 
 def potentials(
@@ -19,7 +20,7 @@ def potentials(
 
     Sinkhorn's iterations scale the rows and columns of a kernel that has the potentials found so far in it: products of
     matrices with vectors, instead of a logarithm and an exponential an entry. The kernel is made anew, by sums of
-    exponentials in log space, every few iterations and whenever epsilon falls, which it does in stages from the
+    exponentials in log space, when scalings grow large and whenever epsilon falls, which it does in stages from the
     largest cost.
 
     Args:
@@ -44,10 +45,11 @@ def potentials(
         torch.sub(f[:, :, None], cost, out=kernel).div_(stage[..., None])
         top = kernel.amax(1)
         kernel.sub_(top[:, None]).exp_()
-        u, v, error = _scaled(kernel, weight)
+        last = bool((stage == epsilon).all())
+        u, v, error, done = _scaled(kernel, weight, tolerance, left if last else _ROUND)
         f, g = f + stage * u.log(), stage * (v.log() - top)
-        left -= _ROUND * int((stage == epsilon).all())
-        if left < iterations and (error < tolerance or left <= 0):
+        left -= done * last
+        if last and (error < tolerance or left <= 0):
             return f, g
         stage = (stage / _ANNEAL).clamp_min(epsilon)
 
@@ -87,16 +89,23 @@ def plan_gradients(plan: Tensor, points: Tensor, grad: Tensor, epsilon: float) -
     return -(of_cost + of_cost.mT) @ points, weight * mu
 
 
-def _scaled(kernel: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, float]:
-    """Return u and v (B, N) such that w_j u_i K_ij v_j / N has rows 1/N and nearly columns w, and the error.
+def _scaled(kernel: Tensor, weight: Tensor, tolerance: float, iterations: int) -> tuple[Tensor, Tensor, float, int]:
+    """Return u and v (B, N) such that w_j u_i K_ij v_j / N has rows 1/N and nearly columns w, the error and how many
+    iterations it took.
 
-    That is the share of the mass that was in wrong rows when the columns were right, before the last half iteration.
+    The error is the share of the mass that was in wrong rows when the columns were right, half an iteration before.
     """
-    u = torch.ones_like(weight)
-    for _ in range(_ROUND):
-        v = kernel.shape[1] / _times(kernel.mT, u)
-        before, u = u, 1 / _times(kernel, weight * v)
-    return u, v, (u / before - 1).abs().mean(1).amax().item()
+    u, error, done = torch.ones_like(weight), float("inf"), 0
+    while done < iterations:
+        for _ in range(_ROUND):
+            v = kernel.shape[1] / _times(kernel.mT, u)
+            before, u = u, 1 / _times(kernel, weight * v)
+        done += _ROUND
+        wrong = (u / before - 1).abs().mean(1).amax()
+        error, largest = torch.stack([wrong, torch.maximum(u, v).amax()]).tolist()
+        if error < tolerance or largest > _LARGE:
+            break
+    return u, v, error, done
 
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
