@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from torch import nn
-from torch.distributions import Independent, Normal
+from torch.distributions import Independent, Normal, Uniform
 
 from probtrack.dynamics import Dynamics, Kinematics, lehmann2007
 from probtrack.errors import InputError, SingularLawError
@@ -206,3 +206,21 @@ def test_rejects_blends_of_modes(wrap):
     dynamics = SwitchingDynamics([lehmann2007("CU-LAN"), lehmann2007("CU-TCVE")], _chain())
     with pytest.raises(InputError, match="resample must copy particles, SwitchingDynamics has modes"):
         ParticleFilter(dynamics, GaussianPosition(0.5), resample=wrap(OptimalTransport()))
+
+
+def test_a_particle_that_none_could_have_become_hurts_no_gradient_of_a_cloud_left_alone():
+    state, moved = 5.0 * torch.arange(6.0)[:, None].repeat(2, 1, 2), 5.0 * torch.arange(6.0)[:, None].repeat(2, 1, 2)
+    leaf = torch.zeros(2, 6)
+    leaf[0, 0] = -math.inf  # rich, but for one particle of weight zero that all others are too far from
+    leaf[1, 0] = 9.0
+    leaf.requires_grad_()
+    log_weight = torch.log_softmax(leaf, -1)
+    moved[1] = 0.0  # the poor cloud came from its heavy particle
+
+    def law(state):
+        return Independent(Uniform(state - 1, state + 1, validate_args=False), 1, validate_args=False)
+
+    scheme = Adaptive(MarginalStopGradient(systematic), 0.5)
+    _, weighed = scheme.after_move((state, log_weight), moved, log_weight, law)
+    torch.logsumexp(weighed, -1).sum().backward()
+    assert leaf.grad.isfinite().all()
