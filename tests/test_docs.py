@@ -49,6 +49,7 @@ def user_files(tmp_path_factory):
     save_scene(folder, scene, scene.simulate())
     (folder / "audio.wav").rename(folder / "recording.wav")
     (folder / "settings.yaml").write_text("array: array.yaml\nnum_particles: 300\n")
+    (folder / "fit.yaml").write_text(blocks(ROOT / "docs" / "fitting.md", "yaml")[0][1])
     return folder
 
 

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from types import SimpleNamespace
 
 import fit_walks
 import lightning
@@ -13,6 +14,7 @@ from lightning.fabric.utilities.distributed import DistributedSamplerWrapper
 from probtrack.errors import InputError, NotFiniteError
 from probtrack.switching import MarkovChain
 from probtrack.training import SceneSampler, physical_summary, physical_values, read_parameters, write_parameters
+from probtrack.training.checkpoints import Checkpoints
 from probtrack.training.reporting import short_names
 
 
@@ -77,6 +79,49 @@ def test_validation_loss_that_is_not_finite_names_its_batch(tmp_path):
     data.val.steps = data.val.steps.index_fill(0, torch.tensor([4]), torch.nan)
     with pytest.raises(NotFiniteError, match=r"the validation loss is nan in epoch 1, batch 2 \(sequences 3, 4\)"):
         trainer(tmp_path).validate(fit_walks.WalkFit(), datamodule=data, verbose=False)
+
+
+def test_checkpoint_that_is_cut_short_leaves_the_one_before(tmp_path):
+    class Cut(Exception):
+        pass
+
+    def save(path):
+        path.write_text("new" if whole else "ne")
+        if not whole:
+            raise Cut
+
+    told = SimpleNamespace(save_checkpoint=save, is_global_zero=True, sanity_checking=False, callback_metrics={})
+    checkpoints, whole = Checkpoints(tmp_path), True
+    checkpoints.on_train_epoch_end(told, None)
+    whole = False
+    with pytest.raises(Cut):
+        checkpoints.on_train_epoch_end(told, None)
+    assert (tmp_path / "last.ckpt").read_text() == "new"
+
+
+def test_best_is_the_lowest_validation_loss_and_no_epoch_counts_twice(tmp_path):
+    saved = []
+    metrics = {}
+    told = SimpleNamespace(
+        save_checkpoint=lambda path: (saved.append(path.name), path.touch()),
+        is_global_zero=True,
+        sanity_checking=False,
+        callback_metrics=metrics,
+    )
+    checkpoints = Checkpoints(tmp_path)
+    for loss in (3.0, 2.0, None, 2.5, 1.0):
+        saved.clear()
+        if loss is not None:
+            metrics["val/loss"] = torch.tensor(loss)
+            checkpoints.on_validation_end(told, None)
+        checkpoints.on_train_epoch_end(told, None)
+        assert ("best.ckpt.tmp" in saved) == (loss in (3.0, 2.0, 1.0))
+        assert saved[-1] == "last.ckpt.tmp"
+    told.sanity_checking = True
+    metrics["val/loss"] = torch.tensor(0.5)
+    checkpoints.on_validation_end(told, None)
+    checkpoints.on_train_epoch_end(told, None)
+    assert checkpoints.best == 1.0
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -47,7 +47,10 @@ class Checkpoints(Checkpoint):
         if improved and latest is not None:
             self.best = latest
         for name in (BEST, LAST) if improved else (LAST,):
-            trainer.save_checkpoint(self.folder / name)
+            beside = self.folder / f"{name}.tmp"  # Lightning's own move is a copy if the folder is on another disk
+            trainer.save_checkpoint(beside)
+            if trainer.is_global_zero:
+                beside.replace(self.folder / name)
 
     def state_dict(self) -> dict[str, Any]:
         return {"best": self.best}
