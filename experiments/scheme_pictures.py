@@ -72,7 +72,8 @@ def draw(rows: list[Row], output: Path) -> None:
     )
     bottom[3].set(xlabel="cost over naive", xscale="log", yticks=[], ylim=(len(here) - 0.5, -0.5))
     bottom[3].axvline(1, color="black", lw=0.8)
-    title = f"{first['model']}: T = {first['frames']}, N = {first['particles']} above; dot: mean error, thick: bias, thin: all error, dashed: exact gradient"
+    legend = "dot: mean error, thick: bias, thin: all error, dashed: size of the exact gradient"
+    title = f"{first['model']}: T = {first['frames']}, N = {first['particles']} above; {legend}"
     figure.suptitle(title, fontsize=11)
     figure.savefig(output, dpi=80)
 
