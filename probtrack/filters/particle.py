@@ -31,11 +31,13 @@ class Belief(NamedTuple):
         state: (*batch, N, D).
         log_weight: (*batch, N), logsumexp = 0.
         log_evidence: Accumulated log p(y_1:t) (*batch).
+        heard: What a relocation remembers of the evidence, (*batch, G) with batch axes of size 1 shared; None without.
     """
 
     state: Tensor
     log_weight: Tensor
     log_evidence: Tensor
+    heard: Tensor | None = None
 
 
 class ParticleFilter(nn.Module):
@@ -132,9 +134,9 @@ class ParticleFilter(nn.Module):
             NotFiniteError: if a likelihood is NaN or infinite.
         """
         pieces, last = [], belief
-        for state, log_weight, frames in self._blocks(belief, observations, dt, noise):
+        for after, frames in self._blocks(belief, observations, dt, noise):
             pieces.append(track_of(frames.together(), self.dynamics, self.origin))
-            last = Belief(state, log_weight, last.log_evidence)
+            last = after
         track = join(pieces)
         evidence = belief.log_evidence + track.log_evidence.sum(0)
         return last._replace(log_evidence=evidence), track._replace(time=_times(dt, track.num_frames, belief.state))
@@ -144,15 +146,14 @@ class ParticleFilter(nn.Module):
 
         As `advance`, which keeps no more than the means: the clouds of T frames of N particles take T N D numbers.
         """
-        blocks = list(self._blocks(belief, observations, dt, noise, at_once=True))
-        state, log_weight, frames = blocks[-1]
+        ((last, frames),) = self._blocks(belief, observations, dt, noise, at_once=True)
         cloud = frames.together()
-        return Belief(state, log_weight, belief.log_evidence + cloud.log_evidence.sum(0)), cloud
+        return last._replace(log_evidence=belief.log_evidence + cloud.log_evidence.sum(0)), cloud
 
     def _blocks(
         self, belief: Belief, observations: Any, dt: float | Tensor, noise: NoiseStream, *, at_once: bool = False
-    ) -> Iterator[tuple[Tensor, Tensor, Frames]]:
-        """Yield the last cloud and all clouds of some frames at a time, as many as fit a cache, or of all `at_once`."""
+    ) -> Iterator[tuple[Belief, Frames]]:
+        """Yield the last belief, without its evidence, and the clouds of as many frames at a time as fit a cache."""
         check_event(belief.state, (self.num_particles, self.dynamics.state_dim), "state")
         _check_batch(belief, noise.batch)
         whole = self.likelihood.prepare(observations)
@@ -163,13 +164,14 @@ class ParticleFilter(nn.Module):
         size = len(prepared) if at_once else max(1, _CHUNK // max(1, belief.log_weight.numel()))
         state, log_weight = belief.state, belief.log_weight
         moves = iter(self._moves(observations, dt))
-        steps = zip(self._relocations(whole, observations, dt), moves, self._laws(dt), strict=False)
+        relocations, heard = self._relocations(whole, observations, dt, belief.heard)
+        steps = zip(relocations, moves, self._laws(dt), strict=False)
         before = None
         for start in range(0, len(prepared), size):
             block = prepared[start : start + size]
             state, log_weight, frames = self._run(state, log_weight, block, steps, noise, before)
             before = frames.state[-1], frames.log_weight[-1]
-            yield state, log_weight, frames
+            yield Belief(state, log_weight, belief.log_evidence, heard), frames
 
     def _moves(self, observations: Any, dt: float | Tensor) -> Iterable[Move]:
         """Return the step into each frame; one of its own for each where time steps differ."""
@@ -193,17 +195,19 @@ class ParticleFilter(nn.Module):
         law: Distribution = self.dynamics(state, step[..., None] if isinstance(step, Tensor) else step)
         return law
 
-    def _relocations(self, prepared: Any, observations: Any, dt: float | Tensor) -> Iterator[Relocate | None]:
-        """Return what comes before the step into each frame."""
+    def _relocations(
+        self, prepared: Any, observations: Any, dt: float | Tensor, heard: Tensor | None
+    ) -> tuple[Iterator[Relocate | None], Tensor | None]:
+        """Return what comes before the step into each frame, and what is remembered after the last."""
         if self.relocation is None:
-            return itertools.repeat(None)
+            return itertools.repeat(None), None
         evidence = self.likelihood.evidence_map(prepared)
         if evidence is None:
-            raise InputError(
-                f"relocation needs a likelihood with an evidence_map, {type(self.likelihood).__name__} has none"
-            )
-        steps: Iterator[Relocate] = self.relocation(self.dynamics, evidence, getattr(observations, "speech", None), dt)
-        return steps
+            name = type(self.likelihood).__name__
+            raise InputError(f"relocation needs a likelihood with an evidence_map, {name} has none")
+        speech = getattr(observations, "speech", None)
+        found: tuple[Iterator[Relocate], Tensor] = self.relocation(self.dynamics, evidence, speech, dt, heard)
+        return found
 
     def _run(
         self,

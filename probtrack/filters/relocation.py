@@ -30,15 +30,20 @@ class Relocation(nn.Module):
         \lambda_\text{silence}, \qquad \ell' \sim \mathcal N(\ell, s^2 I),
 
     then moves as ever: a turn in a pause, or a filter that had lost the talker. The proposal: with the probability
-    :math:`\varepsilon_t`, mixed by speech in the same way, a particle goes to a cell of the map of the frame's evidence,
-    within reach of the cloud, whose mean is m and whose variances are V,
+    :math:`\varepsilon_t`, mixed by speech in the same way, a particle goes to a cell of the map of what was heard,
 
-    .. math:: g_t(\ell') \propto P_t(\ell')^a\, \mathcal N(\ell'; m, V + s^2)\quad\text{(nine tenths, the rest without
-        P)}, \qquad w = \frac{\pi_t\, \mathcal N(\ell'; \ell, s^2)}{\varepsilon_t\, g_t(\ell')}
-        \quad\text{or else}\quad w = \frac{1 - \pi_t}{1 - \varepsilon_t} .
+    .. math:: M_t = e^{-T/\tau} M_{t-1} + \alpha_t \log P_t, \qquad
+        g_t(\ell') \propto e^{a M_t(\ell')}\, \mathcal N(\ell'; m, V + s^2)
+        \quad\text{(nine tenths, the rest without M)},
 
-    The weights make the evidence that of the model, whatever the share and the map. The model's rates, spread and
-    speed are trained by any loss. Share and sharpness do not change what a filter says on average, only how well: their
+    within reach of the cloud, whose mean is m and whose variances are V. (The largest power of one frame is often at an
+    echo; the sum over a quarter of a second is at the talker.) The weights
+
+    .. math:: w = \frac{\pi_t\, \mathcal N(\ell'; \ell, s^2)}{\varepsilon_t\, g_t(\ell')}
+        \quad\text{or else}\quad w = \frac{1 - \pi_t}{1 - \varepsilon_t}
+
+    make the evidence that of the model, whatever the share and the map. Rates, spread and speed of the model are
+    trained by any loss. Share and sharpness do not change what a filter says on average, only how well: their
     gradient is that of `ProposalLoss`, by which the proposal follows the posterior law of who went where.
 
     Args:
@@ -49,6 +54,7 @@ class Relocation(nn.Module):
         share: Initial share of particles drawn from the map in speech, in (0, 1); learnable as `logit_share`.
         share_silence: The same in silence; learnable as `logit_share_silence`.
         sharpness: Initial a; learnable as `log_sharpness`.
+        memory: Initial tau [s]; learnable as `log_memory`.
 
     References:
         S. Thrun, D. Fox, W. Burgard, F. Dellaert, "Robust Monte Carlo localization for mobile robots", Artificial
@@ -85,32 +91,41 @@ class Relocation(nn.Module):
         return 1 + 2 * axes
 
     def forward(
-        self, dynamics: Dynamics, evidence: EvidenceMap, speech: Tensor | None, dt: float | Tensor
-    ) -> Iterator[Relocate]:
-        """Yield the step before each frame's motion.
+        self,
+        dynamics: Dynamics,
+        evidence: EvidenceMap,
+        speech: Tensor | None,
+        dt: float | Tensor,
+        heard: Tensor | None = None,
+    ) -> tuple[Iterator[Relocate], Tensor]:
+        """Return the step before each frame's motion, and what is remembered of the evidence after the last frame.
 
         Args:
             dynamics: Lays out the states.
             evidence: Of T frames.
             speech: P(speech) (T, *batch); 1 throughout if None.
             dt: Time step [s], one number, (T,) or (T, *batch).
+            heard: What was remembered after the frame before (*batch, G); nothing if None.
         """
         maps = evidence.log_evidence
         if speech is None:
             speech = torch.ones(maps.shape[:-1]).to(maps)
         if speech.shape != maps.shape[:-1]:
             raise ShapeError(f"speech must have shape {tuple(maps.shape[:-1])}, got {tuple(speech.shape)}")
-        log_leave, log_stay, share = (x[..., None].unbind(0) for x in self._probabilities(speech, dt))
-        kept, a, total = (-dt / self.log_memory.exp()).exp(), self.log_sharpness.exp(), torch.zeros_like(maps[0])
-        for t, frame in enumerate(maps.unbind(0)):
-            total = kept * total + speech[t][..., None] * frame
-            yield self._relocate(dynamics, evidence, a * total, log_leave[t], log_stay[t], share[t])
+        if isinstance(dt, Tensor) and 0 < dt.ndim < speech.ndim:
+            dt = dt.reshape(-1, *[1] * (speech.ndim - 1))
+        kept = torch.as_tensor(-dt / self.log_memory.exp()).exp().expand_as(speech)[..., None]
+        total, totals = torch.zeros_like(maps[0]) if heard is None else heard, []
+        for decay, frame in zip(kept.unbind(0), (speech[..., None] * maps).unbind(0), strict=True):
+            total = torch.addcmul(frame, decay, total)
+            totals.append(total)
+        chances = (x[..., None].unbind(0) for x in self._probabilities(speech, dt))
+        frames = zip(totals, *chances, strict=True)
+        return (self._relocate(dynamics, evidence, *frame) for frame in frames), total
 
     def _probabilities(self, speech: Tensor, dt: float | Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return log pi, log(1 - pi) and epsilon of each frame, (T, *batch)."""
         rate = torch.lerp(self.log_rate_silence.exp(), self.log_rate.exp(), speech)
-        if isinstance(dt, Tensor) and 0 < dt.ndim < rate.ndim:
-            dt = dt.reshape(-1, *[1] * (rate.ndim - 1))
         left = rate * dt
         share = torch.lerp(self.logit_share_silence.sigmoid(), self.logit_share.sigmoid(), speech)
         return (-torch.expm1(-left)).clamp_min(_LEAST).log(), -left, share
@@ -119,12 +134,12 @@ class Relocation(nn.Module):
         self,
         dynamics: Dynamics,
         evidence: EvidenceMap,
-        sharpened: Tensor,
+        total: Tensor,
         log_leave: Tensor,
         log_stay: Tensor,
         share: Tensor,
     ) -> Relocate:
-        axes = evidence.centre.shape[-1]
+        axes, sharpened = evidence.centre.shape[-1], self.log_sharpness.exp() * total
         log_share, log_rest = share.log(), torch.log1p(-share)
         variance, log_area = (2 * self.log_spread).exp(), evidence.size.log().sum()
         stays = log_stay - log_rest.detach()

@@ -107,10 +107,12 @@ class SteeredPowerLikelihood(Likelihood):
         self.keep_out, self.volume = keep_out, region.volume * float(free.double().mean())
         self.power_on_grid = power.at(grid[free])
         cells = region.grid(check_int(map_points, "map_points", low=1))
-        cells = cells[power.distances(cells).amin(-1) >= keep_out]
+        size = region.cell_size(map_points)
+        # every cell some of which is free
+        cells = cells[power.distances(cells).amin(-1) >= keep_out - 0.5 * float(size.norm())]
         self.power_on_map = power.at(cells)
         self.register_buffer("cells", cells, persistent=False)
-        self.register_buffer("cell_size", region.cell_size(map_points), persistent=False)
+        self.register_buffer("cell_size", size, persistent=False)
         self.register_buffer("low", torch.tensor(region.low), persistent=False)
         self.register_buffer("high", torch.tensor(region.high), persistent=False)
 
@@ -135,9 +137,8 @@ class SteeredPowerLikelihood(Likelihood):
         return torch.where(self._possible(position, distances), density.log(), -torch.inf)
 
     def possible(self, position: Tensor) -> Tensor:
-        return self._possible(position, self.power.distances(position.reshape(-1, position.shape[-1]))).reshape(
-            position.shape[:-1]
-        )
+        points = position.reshape(-1, position.shape[-1])
+        return self._possible(points, self.power.distances(points)).reshape(position.shape[:-1])
 
     def _possible(self, position: Tensor, distances: Tensor) -> Tensor:
         inside = (position.clamp(self.low, self.high) == position).all(-1)  # not so for NaN

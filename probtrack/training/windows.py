@@ -40,7 +40,7 @@ def run_in_windows(
         )
         steps = dt[here] if isinstance(dt, Tensor) and dt.ndim > 0 else dt
         belief, cloud = tracked.run(belief, seen, steps, noise)
-        belief = Belief(*(x.detach() for x in belief))
+        belief = Belief._make(None if x is None else x.detach() for x in belief)
         pieces.append(cloud)
     columns = zip(*pieces, strict=True)
     return Cloud._make(None if column[0] is None else torch.cat(column) for column in columns)
