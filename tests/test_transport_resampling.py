@@ -169,6 +169,30 @@ def test_what_passes_the_plan_is_limited_cloud_by_cloud():
     torch.testing.assert_close(wide, free)
 
 
+def test_the_limit_does_not_depend_on_the_scale_of_the_loss():
+    state, log_weight = cloud(size=7)
+    state[:3] += 4 * torch.tensor([0.1, 3.0, 40.0])
+    grads = []
+    for scale in (1.0, 1e3):
+        leaf = log_weight.clone().requires_grad_()
+        exactly(0.05, clip=0.1)(state, leaf, NONE)[0].square().sum().mul(scale).backward()
+        grads.append(leaf.grad / scale)
+    torch.testing.assert_close(grads[0], grads[1])
+
+
+def test_weights_at_the_end_of_float32_have_finite_gradients():
+    state, log_weight = cloud(4, size=30, dtype=torch.float32)
+    state[:, :3] += 30 * torch.tensor([0.1, 3.0, 40.0])  # far from all others, with weights whose inverse overflows
+    log_weight[:, :3] = -100.0
+    state.requires_grad_()
+    log_weight.requires_grad_()
+    moved, _ = OptimalTransport(0.05)(state, log_weight, NONE)
+    moved.square().sum().backward()
+    assert moved.isfinite().all()
+    assert state.grad.isfinite().all()
+    assert log_weight.grad.isfinite().all()
+
+
 def test_adaptive_transports_poor_clouds_only_and_passes_gradients_of_both():
     state, log_weight = cloud(3)
     log_weight[1] = -math.log(13)

@@ -72,17 +72,12 @@ class OptimalTransport(Resampler):
         return moved.movedim(-1, 0).contiguous().view(dim, *log_weight.shape).movedim(0, -1), equal
 
 
-def _without_specks(weight: Tensor) -> Tensor:
-    """Return the `weight` (B, N) with zeros where it is too small for 1 / w to be worked with."""
-    return torch.where(weight > torch.finfo(weight.dtype).tiny ** 0.5, weight, 0.0)
-
-
 class _Transported(torch.autograd.Function):
     """Blends N P x of scaled clouds (B, N, D), with the gradient of the minimum."""
 
     @staticmethod
     def forward(ctx: Any, points: Tensor, log_weight: Tensor, scheme: OptimalTransport) -> Tensor:
-        weight = _without_specks(log_weight.exp())
+        weight = log_weight.exp()
         f, g = potentials(points, weight, scheme.epsilon, scheme.tolerance, scheme.iterations)
         ctx.scheme = scheme
         ctx.save_for_backward(points, weight, f, g)
