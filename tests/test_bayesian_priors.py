@@ -161,8 +161,18 @@ def test_single_precision_modules_are_evaluated_in_single_precision():
         seen.append(module.process.log_rate.dtype)
         return square(module, 0)
 
-    fit_posterior(Mixed().float(), PRIORS, log_evidence, QUICK)
+    prior = {"process.rate": dist.LogNormal(torch.tensor(0.0, dtype=torch.float64), 1.0)}
+    fit_posterior(Mixed().float(), prior, log_evidence, QUICK)
     assert set(seen) == {torch.float32}
+
+
+@METHODS
+def test_draws_stand_by_chain(method):
+    prior = {"process.rate": PRIORS["process.rate"], "offset": dist.Normal(torch.zeros(3), 1.0).to_event(1)}
+    values = fit_posterior(Mixed(), prior, square, method).values
+    chains = getattr(method, "num_chains", 1)
+    assert values["process.rate"].shape == (chains, method.num_samples)
+    assert values["offset"].shape == (chains, method.num_samples, 3)
 
 
 def drawn():
