@@ -81,7 +81,7 @@ def calibration(config: Config) -> dict[str, Any]:
     def log_evidence(model: CoordinateUncoupled, _: int) -> Tensor:
         return kalman_filter(y, position_system(model, dt, ERROR), rest).log_evidence
 
-    method = NUTS(config.draws // 4, config.draws // 4, 1)
+    method = NUTS(config.draws // 2, config.draws // 4, 1)
     posterior = fit_posterior(model, priors, log_evidence, method, seed=config.seed)
     share = torch.stack([(posterior.values[name][0] < truth[name]).double().mean(0) for name in priors]).flatten(1)
     counts = torch.stack([torch.histc(row, 5, 0, 1) for row in share])
@@ -90,6 +90,7 @@ def calibration(config: Config) -> dict[str, Any]:
         "inside_50": [round(float(x), 3) for x in ((share - 0.5).abs() < 0.25).double().mean(1)],
         "inside_90": [round(float(x), 3) for x in ((share - 0.5).abs() < 0.45).double().mean(1)],
         "ranks_chi2_4dof": [round(float(x), 2) for x in ((counts - sets / 5) ** 2 / (sets / 5)).sum(1)],
+        "ess_median": [round(float(x.median())) for x in posterior.effective_sample_size().values()],
         "divergences": int(posterior.notes["divergences"].sum()),
     }
 
