@@ -36,6 +36,7 @@ from probtrack.training.trajectories import TrajectoryBatch as TrajectoryBatch
 from probtrack.training.trajectories import TrajectoryDataset as TrajectoryDataset
 from probtrack.training.trajectories import check_trajectory as check_trajectory
 from probtrack.training.trajectories import collate_trajectories as collate_trajectories
+from probtrack.training.trajectories_paths import FixedPaths as FixedPaths
 from probtrack.training.trajectories_reading import read_trajectories as read_trajectories
 from probtrack.training.trajectories_sampled import SampledTrajectories as SampledTrajectories
 from probtrack.training.trajectories_sampled import TrajectorySource as TrajectorySource
@@ -47,6 +48,7 @@ from probtrack.training.windows import run_in_windows as run_in_windows
 if TYPE_CHECKING:
     from probtrack.training.data_module import SceneDataModule as SceneDataModule
     from probtrack.training.fit import Fit as Fit
+    from probtrack.training.likelihood_fit import LikelihoodFit as LikelihoodFit
     from probtrack.training.scene_fit import SceneFit as SceneFit
     from probtrack.training.trajectories_data_module import TrajectoryDataModule as TrajectoryDataModule
     from probtrack.training.trajectories_fit import TrajectoryFit as TrajectoryFit
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
 _LIGHTNING = {
     "SceneDataModule": "data_module",
     "Fit": "fit",
+    "LikelihoodFit": "likelihood_fit",
     "SceneFit": "scene_fit",
     "TrajectoryDataModule": "trajectories_data_module",
     "TrajectoryFit": "trajectories_fit",

@@ -1,18 +1,22 @@
 """Fitting motion models to trajectories. Imports Lightning, so that it is loaded when it is first named only."""
 
+import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.distributions import Normal
 
 from probtrack._checks import as_positive
-from probtrack.dynamics import Dynamics, Kinematics
+from probtrack.dynamics import Curvilinear, Dynamics, Kinematics
 from probtrack.errors import InputError
 from probtrack.filters import (
     Adaptive,
+    Belief,
     Cloud,
     Gaussian,
     LinearDynamics,
+    NoiseStream,
     ParticleFilter,
     Resampler,
     StopGradient,
@@ -24,6 +28,7 @@ from probtrack.likelihoods import GaussianPosition, Positions
 from probtrack.training.fit import Fit
 from probtrack.training.losses import Loss, NegativeLogEvidence, Outcome
 from probtrack.training.trajectories import TrajectoryBatch
+from probtrack.training.trajectories_paths import FixedPaths
 
 
 class TrajectoryFit(Fit):
@@ -34,8 +39,8 @@ class TrajectoryFit(Fit):
 
     The place where a trajectory begins says nothing of how talkers move: its first position is given, and with it the
     law of the state then; what a model remembers beyond position and velocity begins at 0. Of a linear model the
-    evidence is the Kalman filter's; of all others it is the particle filter's, whose gradient has the gradient of the
-    evidence estimate as its mean if resampling carries gradients, as it does by default.
+    evidence is the Kalman filter's; of all others it is the particle filter's, an unbiased estimate with an unbiased
+    gradient if resampling carries those of weights, as it does by default.
 
     Args:
         dynamics: The motion model, from the parameters it starts with.
@@ -122,11 +127,35 @@ class TrajectoryFit(Fit):
         return Gaussian(mean, root.mT @ root)
 
     def _particles(self, batch: TrajectoryBatch, seeds: Tensor) -> Cloud:
-        model, std = self.model, self._std
-        noise, y = model.noise(seeds), batch.position.to(std)
-        belief = model.spread_around(batch.first.to(std), noise, std, self.speed)
+        model, dynamics = self.model, self.model.dynamics
+        if isinstance(dynamics, Curvilinear) and dynamics.axes == 2:
+            model = ParticleFilter(
+                FixedPaths(dynamics), model.likelihood, num_particles=model.num_particles, resample=model.resample
+            )
+        noise, y = model.noise(seeds), batch.position.to(self._std)
         observations = y if batch.observed.all() else Positions(y, batch.observed)
-        return model.run(belief, observations, batch.time_step(), noise)[1]
+        return model.run(self._cloud(batch, noise), observations, batch.time_step(), noise)[1]
+
+    def _cloud(self, batch: TrajectoryBatch, noise: NoiseStream) -> Belief:
+        """Return particles of the law when the first position was measured; weights carry the gradient of sigma.
+
+        Of the velocities that a talker may have few lead to the next position. They are drawn half from their law and
+        half around the way to that position, and weighted by p / q, which is below 2.
+        """
+        std, count, axes = self._std, self.model.num_particles, batch.first.shape[-1]
+        now = std.detach()
+        ahead, elapsed = _next(batch)
+        towards = ((ahead - batch.first) / elapsed[:, None]).to(std)[:, None]
+        near = (self.speed**2 / 100 + 2 * (now / elapsed.to(std)).square()).sqrt()[:, None, None]
+        error = now * noise.normal(count, axes)
+        drawn, half = noise.normal(count, axes), noise.uniform(count, 1) < 0.5
+        velocity = torch.where(half, towards + near * drawn, self.speed * drawn)
+        law = _log_normal(velocity, self.speed)
+        mixture = torch.logaddexp(law, _log_normal(velocity - towards, near)) - math.log(2)
+        position = batch.first.to(std)[:, None] + error
+        state = self.model.dynamics.from_kinematics(Kinematics(position, velocity))
+        log_weight = law - mixture + _log_normal(error, std) - _log_normal(error, now) - math.log(count)
+        return Belief(state, log_weight, log_weight.new_zeros(log_weight.shape[:-1]))
 
     @property
     def _std(self) -> Tensor:
@@ -134,3 +163,16 @@ class TrajectoryFit(Fit):
         likelihood = self.model.likelihood
         assert isinstance(likelihood, GaussianPosition)
         return likelihood.log_std.exp()
+
+
+def _next(batch: TrajectoryBatch) -> tuple[Tensor, Tensor]:
+    """Return the second measured position of each trajectory (B, A), and the time to it (B,)."""
+    frame = batch.observed.int().argmax(0)  # the first one
+    elapsed = batch.dt.cumsum(0).gather(0, frame[None])[0]
+    return batch.position[frame, torch.arange(len(frame), device=frame.device)], elapsed
+
+
+def _log_normal(x: Tensor, std: float | Tensor) -> Tensor:
+    """Return log densities (...) of independent normal `x` (..., A)."""
+    density: Tensor = Normal(torch.zeros_like(x), std).log_prob(x)
+    return density.sum(-1)
