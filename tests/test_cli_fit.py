@@ -126,6 +126,8 @@ def test_after_a_kill_a_run_goes_on_to_the_same_result():
     assert in_a_process_of_its_own("fit", config, "-o", "cut", "--data.init_args.killed=2") == -signal.SIGKILL
     assert [row["epoch"] for row in rows("cut")] == ["1", "2"]
     assert not Path("cut/parameters.yaml").exists()
+    with Path("cut/metrics.csv").open("a") as file:  # as if it had been killed between the row and the checkpoint
+        file.write("3,9" + "," * (len(rows("cut")[0]) - 2) + "\n")
     assert main(["fit", config, "-o", "cut", "--ckpt_path", "last"]) == 0
     for name in ("last", "best"):
         assert_same(*(read_checkpoint(f"{run}/checkpoints/{name}.ckpt") for run in ("whole", "cut")))
@@ -173,6 +175,16 @@ def test_a_run_stops_when_validation_no_longer_gains_and_stays_stopped():
     assert len(rows()) == 3
     assert main(["fit", config, "-o", "run", "--early_stopping.patience=4", flags[1], "--ckpt_path=last"]) == 0
     assert len(rows()) == 5
+
+
+def test_the_parameters_are_those_of_the_lowest_validation_loss():
+    assert fit("--model.init_args.learning_rate=1.5", "--trainer.max_epochs=2") == 0
+    best = min(rows(), key=lambda row: float(row["val/loss"]))
+    assert best["epoch"] == "1"
+    made = yaml.safe_load(Path("run/parameters.yaml").read_text())
+    assert made["parameters"]["scale"] == pytest.approx(float(best["parameter/scale"]))
+    assert (made["made_by"]["epoch"], made["made_by"]["epochs"]) == (1, 2)
+    assert made["made_by"]["val_loss"] == pytest.approx(float(best["val/loss"]))
 
 
 def test_without_validation_the_last_epoch_is_kept(capsys):

@@ -85,9 +85,9 @@ def test_checkpoint_that_is_cut_short_leaves_the_one_before(tmp_path):
     class Cut(Exception):
         pass
 
-    def save(path):
+    def save(path, *, weights_only):
         path.write_text("new" if whole else "ne")
-        if not whole:
+        if weights_only or not whole:
             raise Cut
 
     told = SimpleNamespace(save_checkpoint=save, is_global_zero=True, sanity_checking=False, callback_metrics={})
@@ -103,7 +103,7 @@ def test_best_is_the_lowest_validation_loss_and_no_epoch_counts_twice(tmp_path):
     saved = []
     metrics = {}
     told = SimpleNamespace(
-        save_checkpoint=lambda path: (saved.append(path.name), path.touch()),
+        save_checkpoint=lambda path, **_: (saved.append(path.name), path.touch()),
         is_global_zero=True,
         sanity_checking=False,
         callback_metrics=metrics,

@@ -35,20 +35,19 @@ class Checkpoints(Checkpoint):
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.best = float("inf")
-        self._latest: float | None = None
+        self._latest = float("inf")
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: ARG002
-        loss = trainer.callback_metrics.get("val/loss")
-        self._latest = None if trainer.sanity_checking or loss is None else float(loss)
+        if not trainer.sanity_checking and "val/loss" in trainer.callback_metrics:
+            self._latest = float(trainer.callback_metrics["val/loss"])
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: ARG002
-        latest, self._latest = self._latest, None  # an epoch without validation is not the best again
-        improved = latest is not None and latest < self.best
-        if improved and latest is not None:
-            self.best = latest
+        improved = self._latest < self.best
+        if improved:
+            self.best = self._latest
         for name in (BEST, LAST) if improved else (LAST,):
             beside = self.folder / f"{name}.tmp"  # Lightning's own move is a copy if the folder is on another disk
-            trainer.save_checkpoint(beside)
+            trainer.save_checkpoint(beside, weights_only=False)  # all that a run goes on with
             if trainer.is_global_zero:
                 beside.replace(self.folder / name)
 
