@@ -113,6 +113,14 @@ def test_stop_gradient_weighted_by_the_evidence_has_the_exact_gradient_as_its_me
     assert max(map(abs, bias["naive"])) > 8
 
 
+def test_the_first_cloud_is_drawn_from_the_law_that_the_exact_filter_starts_from():
+    for name in ("autoregressive, d = 2", "CU-LAN, d = 4"):
+        model, seen, size = MODELS[name](2), torch.zeros(1, 2, 2), 40_000
+        found, truth = estimated(model, seen, NAIVE, size, seed=0), exact(model, seen)
+        # over particles the likelihood varies by less than its mean: two normal laws of about one width
+        assert (found.log_evidence - truth.log_evidence).abs().max() < 5 / size**0.5
+
+
 def test_a_gradient_cut_later_than_the_end_is_whole_and_a_cut_changes_no_value():
     model = MODELS["autoregressive, d = 1"](3)
     seen = simulate(model, 6, seed=0)
