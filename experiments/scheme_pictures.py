@@ -97,12 +97,19 @@ def _bars(axis: "Axes", rows: list[Row], name: str, colours: dict[str, str]) -> 
 
 
 def _lines(axis: "Axes", rows: list[Row], along: str, what: str, name: str, colours: dict[str, str]) -> None:
+    """Draw one part of the error against the number of frames or particles; a bias that chance hides is left out."""
     for scheme, colour in colours.items():
-        points = sorted((row[along], row["error"][name][what]) for row in rows if row["scheme"] == scheme)
-        axis.plot(*zip(*points, strict=True), "o-", color=colour, ms=4, lw=1.4)
+        mine = sorted((row for row in rows if row["scheme"] == scheme), key=lambda row: row[along])
+        errors = [(row[along], row["error"][name]) for row in mine]
+        shown = [(x, error[what]) for x, error in errors if what == "chance" or error["rms_bias"] > error["resolution"]]
+        if shown:
+            axis.plot(*zip(*shown, strict=True), "o-", color=colour, ms=4, lw=1.4)
     exact = sorted((row[along], row["exact_std"][name]) for row in rows)
-    axis.plot(*zip(*exact, strict=True), color="black", ls=(0, (4, 2)), lw=1, label="std of the exact gradient")
+    axis.plot(*zip(*exact, strict=True), color="black", ls=(0, (4, 2)), lw=1)
     label = {"rms_bias": "bias on a sequence", "chance": "chance"}[what]
     axis.set(xscale="log", yscale="log", xlabel=f"{along} {'N' if along == 'particles' else 'T'}")
+    values = sorted({row[along] for row in rows})
+    axis.set_xticks(values, map(str, values))
+    axis.set_xticks([], minor=True)
     axis.set_title(f"{label} of ∂/∂{name}", fontsize=10)
     axis.grid(color="0.9")
