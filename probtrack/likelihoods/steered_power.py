@@ -44,11 +44,13 @@ class PreparedPower(NamedTuple):
     Attributes:
         gcc: Pair correlations (T, *batch, P, K).
         clutter: Density of a clutter measurement, q_0 / |D|, (T, *batch, 1).
-        target: What multiplies P^r, gamma (1 - q_0), (T, *batch, 1).
+        scale: One over the largest power on the grid (T, *batch, 1), which keeps large powers of it in range.
+        target: What multiplies (scale P)^r, (T, *batch, 1).
     """
 
     gcc: Tensor
     clutter: Tensor
+    scale: Tensor
     target: Tensor
 
 
@@ -120,9 +122,10 @@ class SteeredPowerLikelihood(Likelihood):
         gcc, speech = observations.gcc, observations.speech[..., None]
         if not ((speech >= 0) & (speech <= 1)).all():
             raise InputError("speech must be a probability in [0, 1]")
-        mean = self._to_the_exponent(self.power_on_grid(gcc)).mean(-1, keepdim=True)
-        mean = mean.clamp_min(torch.finfo(mean.dtype).tiny)  # a large exponent may leave nothing of any power
-        return PreparedPower(gcc, (1 - speech) / self.volume, speech / (self.volume * mean))
+        on_grid = self.power_on_grid(gcc)
+        scale = on_grid.detach().amax(-1, keepdim=True).clamp_min(_SMALLEST_POWER).reciprocal()
+        mean = self._to_the_exponent(scale * on_grid).mean(-1, keepdim=True)
+        return PreparedPower(gcc, (1 - speech) / self.volume, scale, speech / (self.volume * mean))
 
     def evidence_map(self, prepared: PreparedPower) -> EvidenceMap:
         """Return the logarithm of the steered power, without gradient."""
@@ -132,7 +135,7 @@ class SteeredPowerLikelihood(Likelihood):
     def forward(self, observation: PreparedPower, kinematics: Kinematics) -> Tensor:
         position = kinematics.position
         distances = self.power.distances(position)
-        power = self._to_the_exponent(self.power.steered(observation.gcc, distances))
+        power = self._to_the_exponent(observation.scale * self.power.steered(observation.gcc, distances))
         density = torch.addcmul(observation.clutter, observation.target, power)
         return torch.where(self._possible(position, distances), density.log(), -torch.inf)
 

@@ -60,14 +60,16 @@ class NegativeLogEvidence(Loss):
 
 @dataclass(frozen=True)
 class CloudLikelihood(Loss):
-    r"""Unlikeliness of the true position under the cloud, taken for a mixture of Gaussian laws:
+    r"""Unlikeliness of the true position under the cloud, taken for a mixture of Gaussian laws and a background:
 
-    .. math:: -\log \sum_n w_t^{(n)} \mathcal N(\ell_t; \ell_t^{(n)}, h^2 I) .
+    .. math:: -\log\Bigl(b + \sum_n w_t^{(n)} \mathcal N(\ell_t; \ell_t^{(n)}, h^2 I)\Bigr)
 
-    Unlike a squared error it rewards a cloud that knows how far it may be wrong, and is finite for a lost one.
+    Unlike a squared error it rewards a cloud that knows how far it may be wrong. Far from the cloud the loss is flat,
+    -log b: a talker who was lost long ago teaches nothing of how not to lose one.
 
     Args:
         std: h, the width of the law around each particle [m].
+        background: b, density that the truth has anywhere [1/m^2, or 1/m^3 in space].
 
     References:
         A. Younis, E. Sudderth, "Differentiable and stable long-range tracking of multiple posterior modes", NeurIPS
@@ -75,15 +77,18 @@ class CloudLikelihood(Loss):
     """
 
     std: float = 0.1
+    background: float = 0.01
 
     def __post_init__(self) -> None:
         as_positive(self.std, "std")
+        as_positive(self.background, "background")
 
     def __call__(self, outcome: Outcome) -> Tensor:
         truth, known = _truth(outcome)
         error = (outcome.kinematics.position - truth[..., None, :]) / self.std
         log_kernel = -0.5 * error.square().sum(-1) - truth.shape[-1] * math.log(self.std * math.sqrt(2 * math.pi))
-        return _mean(-(outcome.cloud.log_weight + log_kernel).logsumexp(-1), known)
+        near = (outcome.cloud.log_weight + log_kernel).logsumexp(-1)
+        return _mean(-torch.logaddexp(near, near.new_tensor(self.background).log()), known)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,16 @@
 """Trackers trained on recordings. Imports Lightning, so that it is loaded when it is first named only."""
 
-import zlib
 from collections.abc import Sequence
 from typing import cast
 
 from torch import Tensor
 
 from probtrack._checks import as_positive, check_int
-from probtrack.audio import Observations
-from probtrack.errors import InputError
 from probtrack.metrics import position_error
 from probtrack.trackers import Tracker
 from probtrack.training.batches import SceneBatch
 from probtrack.training.fit import Fit
+from probtrack.training.hearing import heard, keep_fixed, numbers_of, true_position
 from probtrack.training.losses import Loss, Outcome, ProposalLoss
 from probtrack.training.settings import TrackerSettings
 from probtrack.training.windows import run_in_windows
@@ -57,7 +55,7 @@ class SceneFit(Fit):
         self.start_std = start_std
         self.window = None if window is None else check_int(window, "window", low=1)
         self.proposal_loss = ProposalLoss()
-        self._fix(fixed)
+        keep_fixed(self.model, fixed)
 
     @property
     def tracker(self) -> Tracker:
@@ -65,26 +63,18 @@ class SceneFit(Fit):
         return cast(Tracker, self.model)
 
     def numbers(self, batch: SceneBatch) -> Sequence[int]:
-        return [
-            zlib.crc32(f"{name} {int(start)}".encode()) for name, start in zip(batch.names, batch.start, strict=True)
-        ]
+        return numbers_of(batch)
 
     def run_loss(self, batch: SceneBatch, draw: int) -> Tensor:
         outcome = self.outcome(batch, self.seeds(batch, draw))
         return self.loss(outcome) + self.proposal_loss(outcome)
 
     def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
-        observations = self._observations(batch)
-        truth = batch.truth
-        if truth is None or truth.position is None:
-            raise InputError(f"{batch.names[0]}: has no positions in its truth, around which the filter could begin")
-        if truth.position.shape[-2] != 1:
-            raise InputError(f"{batch.names[0]}: has {truth.position.shape[-2]} talkers, this tracker follows one")
         tracked = self.tracker.filter
-        position = truth.position[self.warm_up :, :, 0, : self.tracker.region.axes]
-        known = truth.known[self.warm_up :, :, 0]
+        position, known = true_position(self.tracker, batch, self.warm_up)
         noise = tracked.noise(seeds)
         belief = tracked.spread_around(position[0], noise, std=self.start_std)
+        observations = heard(self.tracker, batch, self.warm_up)
         cloud = run_in_windows(tracked, belief, observations, self.tracker.dt, noise, self.window)
         return Outcome(cloud, tracked.dynamics.kinematics(cloud.state), position, known)
 
@@ -97,25 +87,3 @@ class SceneFit(Fit):
         error = position_error(estimate, outcome.truth)
         self.log("val/rmse", error.square().mean(0).sqrt().mean(), prog_bar=True, batch_size=error.shape[1])
         self.log("val/lost", (error > _LOST).float().mean(), prog_bar=True, batch_size=error.shape[1])
-
-    def _observations(self, batch: SceneBatch) -> Observations:
-        """Return what is heard after the warm-up, (T, B, ...)."""
-        if batch.num_frames <= self.warm_up:
-            raise InputError(f"warm_up must be shorter than crops, got {self.warm_up} of {batch.num_frames} frames")
-        if batch.observations is not None:
-            return Observations(*(x[self.warm_up :] for x in batch.observations))
-        assert batch.audio is not None
-        front_end = self.tracker.front_end
-        frames = front_end.stft(batch.audio)
-        speech, _ = front_end.vad(frames)
-        # correlations are dear, and nobody asks for those of the warm-up
-        return Observations(front_end.gcc(frames.spectrum[self.warm_up :]), speech[self.warm_up :])
-
-    def _fix(self, fixed: Sequence[str]) -> None:
-        names = [name for name, _ in self.model.named_parameters()]
-        for beginning in fixed:
-            if not any(name.startswith(beginning) for name in names):
-                raise InputError(f"fixed: no parameter begins with {beginning!r}: there are {', '.join(names)}")
-        for name, parameter in self.model.named_parameters():
-            if name.startswith(tuple(fixed)):
-                parameter.requires_grad_(False)
