@@ -99,8 +99,6 @@ class TrajectoryFit(Fit):
                 f"trajectories must have {dynamics.axes} axes, those of the model, got {batch.first.shape[-1]}"
             )
         cloud = self._kalman(batch) if self.exact else self._particles(batch, seeds)
-        # weights of modes vary in the padding too: their gradients mean nothing
-        cloud = cloud._replace(log_evidence=torch.where(batch.inside, cloud.log_evidence, 0.0))
         return Outcome(cloud, dynamics.kinematics(cloud.state), inside=batch.inside)
 
     def _kalman(self, batch: TrajectoryBatch) -> Cloud:
