@@ -1,14 +1,14 @@
 """Likelihood and front end trained where the talker is known to be. Imports Lightning when it is first named."""
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
 
 from probtrack._checks import check_int
 from probtrack.dynamics import Kinematics
-from probtrack.filters import NoiseStream
+from probtrack.filters import Cloud, NoiseStream
 from probtrack.filters.particle import frames_of
 from probtrack.trackers import Tracker
 from probtrack.training.batches import SceneBatch
@@ -68,21 +68,18 @@ class LikelihoodFit(Fit):
     def numbers(self, batch: SceneBatch) -> Sequence[int]:
         return numbers_of(batch)
 
-    def run_loss(self, batch: SceneBatch, draw: int) -> Tensor:
-        tracker = self.tracker
+    def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
+        """Return the places of each frame as a cloud, whose evidence is the log probability of the true one."""
+        tracker, likelihood = self.tracker, self.tracker.filter.likelihood
         position, known = true_position(tracker, batch, self.warm_up)
-        noise = NoiseStream(self.seeds(batch, draw), self.others, 1, 1, dtype=position.dtype, device=position.device)
-        others = tracker.region.from_unit(noise.uniform(len(position) * self.others, position.shape[-1]))
-        others = others.unflatten(1, (len(position), self.others)).movedim(1, 0)
-        places = torch.cat([position[..., None, :], others], -2)  # (T, B, 1 + J, A)
-        prepared = frames_of(tracker.filter.likelihood.prepare(heard(tracker, batch, self.warm_up)))
+        noise = NoiseStream(seeds, self.others, 1, 1, dtype=position.dtype, device=position.device)
+        others = tracker.region.from_unit(noise.uniform(len(position), self.others, position.shape[-1]))
+        places = torch.cat([position[..., None, :], others.movedim(1, 0)], -2)  # (T, B, 1 + J, A)
+        standing = torch.zeros_like(places[0])
+        prepared = frames_of(likelihood.prepare(heard(tracker, batch, self.warm_up)))
         frames = zip(prepared, places.unbind(0), strict=True)
-        log_density = torch.stack(
-            [tracker.filter.likelihood(frame, Kinematics(place, torch.zeros_like(place))) for frame, place in frames]
-        )
+        log_density = torch.stack([likelihood(frame, Kinematics(place, standing)) for frame, place in frames])
         known = known & (log_density[..., 0] > -torch.inf)  # not a mouth nearer to a microphone than keep_out allows
-        chosen = torch.where(known[..., None], log_density, 0.0).log_softmax(-1)[..., 0]
-        return -torch.where(known, chosen, 0.0).sum(0) / known.sum(0).clamp_min(1)
-
-    def outcome(self, batch: Any, seeds: Tensor) -> Outcome:
-        raise NotImplementedError("a likelihood is fitted without a filter")
+        log_weight = torch.where(known[..., None], log_density, 0.0).log_softmax(-1)
+        cloud = Cloud(places, log_weight, log_weight[..., 0], ~known)
+        return Outcome(cloud, Kinematics(places, torch.zeros_like(places)), position, known, inside=known)
