@@ -26,9 +26,9 @@ class LikelihoodFit(Fit):
     .. math:: -\log \frac{p(y_t \mid \ell_t)}{p(y_t \mid \ell_t) + \sum_{j=1}^{J} p(y_t \mid \ell_j)} .
 
     The likelihood for which that is least is right up to a factor of the frame, whatever J; the more, the better small
-    peaks are seen. (The density of the true position itself would be no measure: a sharp power is integrated on a grid, and
-    the best exponent would be the one whose peaks the grid misses.) A step costs what hearing costs, which makes this
-    the place to begin from before the whole tracker is trained by `SceneFit`. Motion is not trained.
+    peaks are seen. (The density of the true position itself would be no measure: a sharp power is integrated on a
+    grid, and the best exponent would be the one whose peaks the grid misses.) A step costs what hearing costs, which
+    makes this the place to begin from before the whole tracker is trained by `SceneFit`. Motion is not trained.
 
     Args:
         tracker: Whose likelihood and front end are trained.
