@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from probtrack import geometry as geometry
     from probtrack import likelihoods as likelihoods
     from probtrack import metrics as metrics
+    from probtrack import parameters as parameters
     from probtrack import plotting as plotting
     from probtrack import simulation as simulation
     from probtrack import switching as switching
@@ -33,7 +34,7 @@ __version__ = "0.1.0"
 
 _ROOMS = (
     "audio", "distributions", "dynamics", "errors", "filters", "geometry", "likelihoods",
-    "metrics", "plotting", "simulation", "switching", "track_files", "trackers", "tracks", "training",
+    "metrics", "parameters", "plotting", "simulation", "switching", "track_files", "trackers", "tracks", "training",
 )  # fmt: skip
 
 

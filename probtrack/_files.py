@@ -1,7 +1,10 @@
-"""Checks of the paths that results go to, made before the work and not after."""
+"""Files: paths that results go to, checked before the work and not after, and YAML."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from probtrack.errors import InputError
 
@@ -24,3 +27,13 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot write there: {error.strerror}") from None
     if not existed:
         path.unlink()
+
+
+def read_yaml(path: str | Path, what: str) -> Any:
+    """Return the content of a YAML file, or raise `InputError`."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read {what}: {error.strerror}") from None
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or a date that cannot be
+        raise InputError(f"{path}: {what} is not YAML: {' '.join(str(error).split())}") from None

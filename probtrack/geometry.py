@@ -13,6 +13,7 @@ import yaml
 from torch import Tensor
 
 from probtrack._checks import check_event, check_int
+from probtrack._files import read_yaml
 from probtrack.errors import InputError, ShapeError
 
 SPEED_OF_SOUND = 343.0
@@ -235,12 +236,7 @@ def _decimal(positions: Tensor) -> list[list[float]]:
 
 
 def _read_yaml(path: str | Path, what: str) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read {what}: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or a date that cannot be
-        raise InputError(f"{path}: {what} is not YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(path, what)
     if not isinstance(content, dict):
         raise InputError(f"{path}: {what} must be a YAML mapping, got {type(content).__name__}")
     return content

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser
 
+from probtrack._files import read_yaml
 from probtrack.cli import flags
 from probtrack.errors import InputError
 from probtrack.simulation.data_set import DataSet, check_data_set_output, load_data_set, make_data_set, missing_scenes
-from probtrack.simulation.description import described, read_yaml
+from probtrack.simulation.description import described
 from probtrack.simulation.estimate import Estimate, estimate
 from probtrack.simulation.presets import shipped_scenes
 from probtrack.simulation.rooms import ResponseCache, default_cache

@@ -22,9 +22,10 @@ import torch
 import yaml
 
 from probtrack._checks import check_int
+from probtrack._files import read_yaml
 from probtrack._threads import one_thread
 from probtrack.errors import InputError
-from probtrack.simulation.description import described, from_description, made_with, read_yaml
+from probtrack.simulation.description import described, from_description, made_with
 from probtrack.simulation.files_named import with_files_found
 from probtrack.simulation.rooms import ResponseCache
 from probtrack.simulation.scene_folder import is_complete, save_scene

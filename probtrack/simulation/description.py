@@ -8,7 +8,6 @@ from argparse import ArgumentError
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from jsonargparse import ArgumentParser
 
 from probtrack.errors import InputError
@@ -56,16 +55,6 @@ def from_description(kind: type[T], content: Any, path: str | Path) -> T:
     except (ArgumentError, InputError, ImportError, ValueError, TypeError) as error:
         raise InputError(f"{path}: {_plain(str(error))}") from None
     return made.it  # type: ignore[no-any-return]
-
-
-def read_yaml(path: str | Path, what: str) -> Any:
-    """Return the content of a YAML file."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read {what}: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{path}: {what} is not YAML: {' '.join(str(error).split())}") from None
 
 
 def made_with() -> dict[str, str]:

@@ -13,9 +13,10 @@ import torch
 import yaml
 
 from probtrack import audio
+from probtrack._files import read_yaml
 from probtrack.errors import InputError
 from probtrack.geometry import MicrophoneArray, Region
-from probtrack.simulation.description import described, from_description, made_with, read_yaml
+from probtrack.simulation.description import described, from_description, made_with
 from probtrack.simulation.files_named import with_files_found
 from probtrack.simulation.scenes import Recording, Scene
 from probtrack.simulation.truth import save_scores

@@ -6,6 +6,12 @@ What needs Lightning (extra `train`) is imported when it is first named.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from probtrack.parameters import physical as physical
+from probtrack.parameters import physical_summary as physical_summary
+from probtrack.parameters import physical_values as physical_values
+from probtrack.parameters import read_parameters as read_parameters
+from probtrack.parameters import unconstrained as unconstrained
+from probtrack.parameters import write_parameters as write_parameters
 from probtrack.training.batches import SceneBatch as SceneBatch
 from probtrack.training.batches import SceneSampler as SceneSampler
 from probtrack.training.batches import collate as collate
@@ -18,12 +24,6 @@ from probtrack.training.losses import SquaredError as SquaredError
 from probtrack.training.losses import WeightedSum as WeightedSum
 from probtrack.training.observation_files import ObservationFiles as ObservationFiles
 from probtrack.training.observation_files import front_end_key as front_end_key
-from probtrack.training.physical import physical as physical
-from probtrack.training.physical import physical_summary as physical_summary
-from probtrack.training.physical import physical_values as physical_values
-from probtrack.training.physical import read_parameters as read_parameters
-from probtrack.training.physical import unconstrained as unconstrained
-from probtrack.training.physical import write_parameters as write_parameters
 from probtrack.training.scene_data import FrameGrid as FrameGrid
 from probtrack.training.scene_data import SceneDataset as SceneDataset
 from probtrack.training.scene_data import SceneItem as SceneItem

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from probtrack._checks import as_positive, check_int
 from probtrack.errors import NotFiniteError
+from probtrack.parameters import physical_summary
 from probtrack.training.losses import Loss, Outcome
-from probtrack.training.physical import physical_summary
 from probtrack.training.seeds import seed_of
 
 try:

@@ -9,8 +9,8 @@ import torch
 import yaml
 from torch import Tensor, nn
 
+from probtrack._files import read_yaml
 from probtrack.errors import InputError
-from probtrack.simulation.description import read_yaml
 
 _SUM = 1e-4  # by which rows of probabilities may miss 1: many numbers of float32, each rounded
 
