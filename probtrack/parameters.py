@@ -80,20 +80,23 @@ def write_parameters(path: str | Path, module: nn.Module, made_by: Mapping[str, 
     Path(path).write_text(text, encoding="utf-8")
 
 
-def read_parameters(path: str | Path, module: nn.Module) -> None:
+def read_parameters(path: str | Path, module: nn.Module, *, partly: bool = False) -> None:
     """Set the parameters of `module` to the physical values in a file of `write_parameters`.
+
+    Args:
+        path: Of the file.
+        module: Whose parameters are set.
+        partly: Whether the file may leave out some of them, which stay as they are.
 
     Raises:
         InputError: for a file that cannot be read, names that the module does not have, trainable parameters that the
-            file does not have, and values that cannot be. The module is then as it was.
+            file does not have (unless `partly`), and values that cannot be. The module is then as it was.
     """
-    content = read_yaml(Path(path), "parameter file")
-    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
-        raise InputError(f"{path}: a parameter file must have 'parameters', names with their values")
-    values, named = content["parameters"], dict(module.named_parameters())
+    values, named = _values(path), dict(module.named_parameters())
     of = {physical(name, parameter.detach())[0]: name for name, parameter in named.items()}
     wanted = physical_values(module)
-    missing, unknown = wanted.keys() - values.keys(), values.keys() - of.keys()
+    missing = set() if partly else wanted.keys() - values.keys()
+    unknown = values.keys() - of.keys()
     if missing or unknown:
         differ = {"missing": missing, "unknown": unknown}
         said = [f"{what} {', '.join(sorted(map(str, names)))}" for what, names in differ.items() if names]
@@ -102,6 +105,19 @@ def read_parameters(path: str | Path, module: nn.Module) -> None:
     with torch.no_grad():
         for name, value in new.items():
             named[name].copy_(value)
+
+
+def parameter_names(path: str | Path) -> list[str]:
+    """Return the physical names of the parameters in a file of `write_parameters`, or raise `InputError`."""
+    return [str(name) for name in _values(path)]
+
+
+def _values(path: str | Path) -> dict[Any, Any]:
+    content = read_yaml(path, "parameter file")
+    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
+        raise InputError(f"{path}: a parameter file must have 'parameters', names with their values")
+    values: dict[Any, Any] = content["parameters"]
+    return values
 
 
 def _parameter(what: str, name: str, value: object, like: Tensor) -> Tensor:

@@ -1,6 +1,8 @@
 """The tracker of Lehmann & Johansson 2007: steered power gated by voice activity, a bootstrap filter."""
 
 import math
+from importlib import resources
+from pathlib import Path
 from typing import Literal, get_args
 
 from probtrack import dynamics, switching
@@ -15,9 +17,10 @@ from probtrack.audio import (
     VoiceActivity,
 )
 from probtrack.errors import InputError
-from probtrack.filters import Adaptive, ParticleFilter, resampling
+from probtrack.filters import Adaptive, ParticleFilter, Relocation, resampling
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region
 from probtrack.likelihoods import SteeredPowerLikelihood
+from probtrack.parameters import parameter_names, read_parameters
 from probtrack.trackers.tracker import Tracker
 
 Model = Literal[dynamics.Lehmann2007Model, "speech-silence", "teleconference", "odas", "moving-stopped"]
@@ -37,6 +40,7 @@ def lehmann2007(
     region: Region,
     model: Model = "CU-LAN",
     *,
+    parameters: str = "printed",
     num_particles: int = 500,
     threshold: float = 0.75,
     resample: Scheme = "systematic",
@@ -61,6 +65,10 @@ def lehmann2007(
         region: Where the talker can be [m]; its z range, if it has one, matters in 3-D only, but must hold
             the height that is tracked.
         model: Motion model, by its name in the paper's Table 1, or a model that switches between several.
+        parameters: Values of the models: `printed`, which are those of the paper and of the arguments below; `learned`
+            from simulated walks and voices at several noise levels and reverberation times, for the models that have
+            some; or a file of `probtrack fit`. The last two also find a lost talker again, if they were learned so, and
+            replace `exponent`, `vad_threshold` and `vad_slope`.
         num_particles: Particles N. The paper has 75, begun around the talker; from anywhere it takes some hundred
             to find one.
         threshold: Resample when the effective sample size is below this share of N.
@@ -119,7 +127,28 @@ def lehmann2007(
         resample=Adaptive(_SCHEMES[resample], threshold),
         origin=array.centre,
     )
-    return Tracker(FrontEnd(stft, gcc, detector), particle_filter, where, fs=fs)
+    tracker = Tracker(FrontEnd(stft, gcc, detector), particle_filter, where, fs=fs)
+    return tracker if parameters == "printed" else _with_parameters(tracker, parameters, model)
+
+
+def learned_models() -> dict[str, Path]:
+    """Return the files of learned parameters that ship with probtrack, by the name of the motion model."""
+    folder = Path(str(resources.files("probtrack") / "learned" / "lehmann2007"))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def _with_parameters(tracker: Tracker, parameters: str, model: str) -> Tracker:
+    """Return the tracker with the values of a file, which says whether lost talkers are found again."""
+    path = Path(parameters)
+    if parameters == "learned":
+        learned = learned_models()
+        if model not in learned:
+            raise InputError(f"parameters: none are learned for {model}: there are those of {', '.join(learned)}")
+        path = learned[model]
+    if any(name.startswith("filter.relocation.") for name in parameter_names(path)):
+        tracker.filter.relocation = Relocation()
+    read_parameters(path, tracker, partly=True)  # what was kept fixed in training is not in the file
+    return tracker
 
 
 def _motion(model: str, axes: int, *, dt: float) -> dynamics.Dynamics:
