@@ -61,7 +61,14 @@ class Fit(LightningModule, abc.ABC):
 
     def run_loss(self, batch: Any, draw: int) -> Tensor:
         """Return the loss of each run over `batch` (B,)."""
-        return self.loss(self.outcome(batch, self.seeds(batch, draw)))
+        return self.loss_of(self.outcome(batch, self.seeds(batch, draw)))
+
+    def loss_of(self, outcome: Outcome) -> Tensor:
+        """Return what is made small for each run (*batch)."""
+        return self.loss(outcome)
+
+    def log_outcome(self, outcome: Outcome) -> None:
+        """Log more than the loss of a validation batch; nothing unless a fit has something to say."""
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         runs = self.run_loss(batch, self.current_epoch)
@@ -84,11 +91,13 @@ class Fit(LightningModule, abc.ABC):
         self._validated: dict[tuple[int, int], float] = {}
 
     def validation_step(self, batch: Any, batch_idx: int, dataloader_idx: int = 0) -> None:
-        runs = self.run_loss(batch, _VALIDATION)
+        outcome = self.outcome(batch, self.seeds(batch, _VALIDATION))
+        runs = self.loss_of(outcome)
         if not runs.isfinite().all():
             self._refuse(f"the validation loss is {runs.mean().item()}", batch, batch_idx)
         keys = [(dataloader_idx, number) for number in self.numbers(batch)]
         self._validated.update(zip(keys, runs.tolist(), strict=True))
+        self.log_outcome(outcome)
 
     def on_validation_epoch_end(self) -> None:
         """Log the mean loss of the validation sequences: each once, though several processes fill up their shares."""

@@ -32,6 +32,11 @@ class Outcome(NamedTuple):
     known: Tensor | None = None
     inside: Tensor | None = None
 
+    @property
+    def estimate(self) -> Tensor:
+        """Mean position of the weighted cloud (T, *batch, A) [m]."""
+        return (self.cloud.log_weight.exp()[..., None] * self.kinematics.position).sum(-2)
+
 
 class Loss(abc.ABC):
     """What is made small."""
@@ -101,8 +106,7 @@ class SquaredError(Loss):
 
     def __call__(self, outcome: Outcome) -> Tensor:
         truth, known = _truth(outcome)
-        estimate = (outcome.cloud.log_weight.exp()[..., None] * outcome.kinematics.position).sum(-2)
-        return _mean((estimate - truth).square().sum(-1), known)
+        return _mean((outcome.estimate - truth).square().sum(-1), known)
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,8 @@ class ProposalLoss(Loss):
         cloud = outcome.cloud
         if cloud.log_proposal is None:
             return torch.zeros_like(cloud.log_evidence[0])
-        return -(cloud.log_weight.detach().exp() * cloud.log_proposal).sum(-1).mean(0)
+        unlikeliness = -(cloud.log_weight.detach().exp() * cloud.log_proposal).sum(-1)
+        return unlikeliness.mean(0) if outcome.inside is None else _mean(unlikeliness, outcome.inside)
 
 
 @dataclass(frozen=True)
@@ -147,12 +152,14 @@ class WeightedSum(Loss):
 
 
 def _truth(outcome: Outcome) -> tuple[Tensor, Tensor]:
+    """Return the truth (T, *batch, A), 0 where it says nothing, and where it says something (T, *batch)."""
     if outcome.truth is None or outcome.known is None:
         raise InputError("this loss compares with the true position, and the data have none")
-    return outcome.truth, outcome.known
+    known = outcome.known if outcome.inside is None else outcome.known & outcome.inside
+    # taken out before anything is made of it: what is not known may be NaN, and so would be the gradient
+    return torch.where(known[..., None], outcome.truth, 0.0), known
 
 
 def _mean(values: Tensor, known: Tensor) -> Tensor:
     """Return the means (*batch) of `values` (T, *batch) over the frames that are known, 0 where none is."""
-    # selected, not multiplied: what stands where nothing is known may be anything, NaN too
     return torch.where(known, values, 0.0).sum(0) / known.sum(0).clamp_min(1)

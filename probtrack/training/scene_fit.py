@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import cast
 
+import torch
 from torch import Tensor
 
 from probtrack._checks import as_positive, check_int
@@ -65,8 +66,7 @@ class SceneFit(Fit):
     def numbers(self, batch: SceneBatch) -> Sequence[int]:
         return numbers_of(batch)
 
-    def run_loss(self, batch: SceneBatch, draw: int) -> Tensor:
-        outcome = self.outcome(batch, self.seeds(batch, draw))
+    def loss_of(self, outcome: Outcome) -> Tensor:
         return self.loss(outcome) + self.proposal_loss(outcome)
 
     def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
@@ -78,12 +78,15 @@ class SceneFit(Fit):
         cloud = run_in_windows(tracked, belief, observations, self.tracker.dt, noise, self.window)
         return Outcome(cloud, tracked.dynamics.kinematics(cloud.state), position, known)
 
-    def validation_step(self, batch: SceneBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Log the loss, the root mean square error [m] and the share of frames that are lost."""
-        super().validation_step(batch, batch_idx, dataloader_idx)
-        outcome = self.outcome(batch, self.seeds(batch, 0))
-        estimate = (outcome.cloud.log_weight.exp()[..., None] * outcome.kinematics.position).sum(-2)
+    def log_outcome(self, outcome: Outcome) -> None:
+        """Log the root mean square error [m] and the share of frames that are lost, where the truth is known."""
         assert outcome.truth is not None
-        error = position_error(estimate, outcome.truth)
-        self.log("val/rmse", error.square().mean(0).sqrt().mean(), prog_bar=True, batch_size=error.shape[1])
-        self.log("val/lost", (error > _LOST).float().mean(), prog_bar=True, batch_size=error.shape[1])
+        assert outcome.known is not None
+        error, runs = position_error(outcome.estimate, outcome.truth), outcome.known.any(0)
+        if not runs.any():
+            return
+        error, known = error[:, runs], outcome.known[:, runs]
+        square = torch.where(known, error.square(), 0.0).sum(0) / known.sum(0)
+        lost = ((error > _LOST) & known).sum(0) / known.sum(0)
+        for name, value in {"val/rmse": square.sqrt(), "val/lost": lost}.items():
+            self.log(name, value.mean(), prog_bar=True, batch_size=len(value), sync_dist=True)

@@ -12,6 +12,7 @@ from probtrack.errors import InputError
 from probtrack.filters import ParticleFilter, Relocation, Resampler
 from probtrack.geometry import SPEED_OF_SOUND, MicrophoneArray, Region, shipped_arrays
 from probtrack.likelihoods import Likelihood
+from probtrack.parameters import read_parameters
 from probtrack.trackers import Tracker, lehmann2007
 from probtrack.trackers.lehmann2007 import Model
 
@@ -91,6 +92,8 @@ class Lehmann2007Settings(TrackerSettings):
         dynamics: A motion model of one's own in place of `model`.
         likelihood: A likelihood of one's own in place of the steered power's.
         resample: What happens to the cloud after each frame; systematic resampling on N_eff < 0.75 N if None.
+        parameters: File of parameters to begin with, such as the `parameters.yaml` of an earlier run: those that it
+            names replace what the other arguments say.
     """
 
     array: str = "lehmann2007"
@@ -106,6 +109,7 @@ class Lehmann2007Settings(TrackerSettings):
     dynamics: Dynamics | None = None
     likelihood: Likelihood | None = None
     resample: Resampler | None = None
+    parameters: str | None = None
 
     def make(self) -> Tracker:
         path = shipped_arrays().get(self.array, Path(self.array))
@@ -131,7 +135,10 @@ class Lehmann2007Settings(TrackerSettings):
             origin=array.centre,
             relocation=self.relocation,
         )
-        return Tracker(self.front_end.make(array, self.fs), tracked, made.region, fs=self.fs)
+        tracker = Tracker(self.front_end.make(array, self.fs), tracked, made.region, fs=self.fs)
+        if self.parameters is not None:
+            read_parameters(self.parameters, tracker, partly=True)  # an earlier run may have kept some fixed
+        return tracker
 
     def _region(self, path: Path) -> Region:
         if self.low is not None and self.high is not None:

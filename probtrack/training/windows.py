@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from probtrack._checks import check_int
 from probtrack.filters import Belief, Cloud, NoiseStream, ParticleFilter
 
 
@@ -28,11 +29,16 @@ def run_in_windows(
         dt: As in `ParticleFilter.run`.
         noise: Random numbers of the runs.
         window: Frames; all if None.
+
+    Raises:
+        InputError: for a window of no frame; and as `ParticleFilter.run` does.
     """
-    frames = len(observations if isinstance(observations, Tensor) else observations[0])
+    # without any frame, one window of none: the filter says what is wrong
+    frames = max(1, len(observations if isinstance(observations, Tensor) else observations[0]))
+    width = frames if window is None else check_int(window, "window", low=1)
     pieces = []
-    for start in range(0, frames, window or frames):
-        here = slice(start, start + (window or frames))
+    for start in range(0, frames, width):
+        here = slice(start, start + width)
         seen = (
             observations[here]
             if isinstance(observations, Tensor)
