@@ -62,8 +62,8 @@ PARTICLES = {
     "CL-RWVE-RWTU": Data(512, 20, 0.005, 0.003),
     "CL-TCVE-TCTU": Data(512, 30, 0.2, 0.15, 2.0),
     "CL-RWVE-RAAC": Data(512, 16, 0.2, 0.05, 0.5),
-    "CL-RWVE-RWAC": Data(512, 12, 0.1, 0.06, 3.0, 600),
-    "CL-TCVE-TCAC": Data(512, 12, 0.2, 0.1, 3.0, 600),
+    "CL-RWVE-RWAC": Data(512, 12, 0.1, 0.06, 3.0, 2000),
+    "CL-TCVE-TCAC": Data(512, 12, 0.2, 0.1, 3.0, 3000),
 }
 SWITCHING = Data(256, 20, 0.1, 0.04, 0.3)
 WALKS = WalkedTrajectories(SocialForceWalk(), count=128, duration=8.0, rate=1 / 0.096, error=0.02)

@@ -174,12 +174,14 @@ def test_particle_evidence_and_its_gradient_are_unbiased(rows):
     assert (found.std(0) / len(found) ** 0.5 < 0.3 * torch.stack([torch.ones(()), *gradient]).abs().clamp_min(1)).all()
 
 
-def test_particles_that_look_ahead_find_the_second_position():
+@pytest.mark.parametrize("gap", [False, True])
+def test_particles_that_look_ahead_find_the_second_position(gap):
     """Of 400 velocities drawn by their law one at most leads to within 10 cm of that position a second away."""
-    near = path([1.0], torch.tensor([[0.0, 0.0], [1.2, -2.0]]))
+    near = path([0.4, 0.6], torch.tensor([[0.0, 0.0], [torch.nan, 0.0], [1.2, -2.0]]))
+    near = near if gap else near._replace(time=near.time[::2], position=near.position[::2])
     fit = TrajectoryFit(lehmann2007("CU-RWVE"), std=0.1, num_particles=400, exact=False)
     with torch.no_grad():
-        weight = fit.outcome(batch(near), torch.tensor([5])).cloud.log_weight.exp()
+        weight = fit.outcome(batch(near), torch.tensor([5])).cloud.log_weight[-1].exp()
     assert 1 / weight.square().sum() > 20
 
 
