@@ -1,4 +1,4 @@
-"""A small data set on disk for the tests of training: two talkers, three microphones, three scenes at two SNRs."""
+"""Small data sets on disk for the tests of training: two talkers in three scenes at two SNRs, or one talker in two."""
 
 import functools
 import shutil
@@ -6,15 +6,16 @@ import shutil
 import pytest
 import torch
 
-from probtrack.geometry import MicrophoneArray
+from probtrack.geometry import MicrophoneArray, Region
 from probtrack.simulation import DataSet, Scene, make_data_set
 from probtrack.simulation.rooms import ShoeboxRoom
 from probtrack.simulation.trajectories import Arc, GivenPaths, Through
 from probtrack.simulation.voices import SyntheticVoices
-from probtrack.training import Lehmann2007FrontEnd
+from probtrack.training import Lehmann2007FrontEnd, SceneDataset, collate
 
 # the first walks round the microphones behind their back, so that its azimuth goes through pi
 WAYS = (Arc((1.1, 1.2, 1.4), 0.5, 2.5, 3.9, 0.3), Through(((2.4, 2.6, 1.6), (2.9, 1.3, 1.6)), 0.3))
+LOW, HIGH = (0.0, 0.0), (3.6, 3.1)
 MICROPHONES = [[1.1, 1.2, 1.3], [1.3, 1.2, 1.3], [1.2, 1.35, 1.38]]
 
 
@@ -52,6 +53,24 @@ def small_data_set(tmp_path_factory):
     return _made(folder)
 
 
+@functools.cache
+def _made_for_one(folder):
+    file = folder / "three.yaml"
+    array().to_yaml(file, Region(LOW, HIGH))
+    one = small_scene(file, num_talkers=1, trajectories=GivenPaths(WAYS[1:]))
+    for _ in make_data_set(DataSet((one,), 2, (20.0,), 4), folder / "set", None):
+        pass
+    return folder
+
+
+@pytest.fixture(scope="session")
+def one_talker(tmp_path_factory):
+    """A folder with a data set, `set`, of two scenes with one talker, and their array with its region, `three.yaml`."""
+    folder = tmp_path_factory.getbasetemp() / "one"
+    folder.mkdir(exist_ok=True)
+    return _made_for_one(folder)
+
+
 @pytest.fixture
 def data_set(small_data_set, tmp_path):
     """A copy of one's own."""
@@ -62,3 +81,9 @@ def data_set(small_data_set, tmp_path):
 def float32():
     """The precision that users have."""
     torch.set_default_dtype(torch.float32)
+
+
+def one_batch(folder, tracker, *numbers):
+    """Recordings of `one_talker`, all if none is named, as sound on the frames of `tracker`."""
+    dataset = SceneDataset(folder / "set", stft=tracker.front_end.stft)
+    return collate([dataset[number] for number in numbers or range(len(dataset))])

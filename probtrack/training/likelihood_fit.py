@@ -71,12 +71,12 @@ class LikelihoodFit(Fit):
     def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
         """Return the places of each frame as a cloud, whose evidence is the log probability of the true one."""
         tracker, likelihood = self.tracker, self.tracker.filter.likelihood
+        prepared = frames_of(likelihood.prepare(heard(tracker, batch, self.warm_up)))
         position, known = true_position(tracker, batch, self.warm_up)
         noise = NoiseStream(seeds, self.others, 1, 1, dtype=position.dtype, device=position.device)
         others = tracker.region.from_unit(noise.uniform(len(position), self.others, position.shape[-1]))
         places = torch.cat([position[..., None, :], others.movedim(1, 0)], -2)  # (T, B, 1 + J, A)
         standing = torch.zeros_like(places[0])
-        prepared = frames_of(likelihood.prepare(heard(tracker, batch, self.warm_up)))
         frames = zip(prepared, places.unbind(0), strict=True)
         log_density = torch.stack([likelihood(frame, Kinematics(place, standing)) for frame, place in frames])
         known = known & (log_density[..., 0] > -torch.inf)  # not a mouth nearer to a microphone than keep_out allows

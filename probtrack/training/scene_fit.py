@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from probtrack._checks import as_positive, check_int
+from probtrack.errors import InputError
 from probtrack.metrics import position_error
 from probtrack.trackers import Tracker
 from probtrack.training.batches import SceneBatch
@@ -32,6 +33,7 @@ class SceneFit(Fit):
         warm_up: Frames at the beginning of each recording or crop that are heard but not tracked, so that voice
             activity knows the noise floor.
         start_std: Standard deviation of the cloud around the talker [m].
+        anywhere: Share of runs whose cloud begins all over the region, so that finding a talker is learned too.
         window: Frames that a gradient reaches back; all if None.
         fixed: Parameters that are not trained, as beginnings of their names.
         learning_rate: As in `Fit`.
@@ -45,6 +47,7 @@ class SceneFit(Fit):
         *,
         warm_up: int = 0,
         start_std: float = 0.1,
+        anywhere: float = 0.0,
         window: int | None = 25,
         fixed: Sequence[str] = ("front_end.gcc.whitening",),
         learning_rate: float = 0.02,
@@ -53,7 +56,9 @@ class SceneFit(Fit):
         super().__init__(tracker.make(), loss, learning_rate=learning_rate, seed=seed)
         self.warm_up = check_int(warm_up, "warm_up", low=0)
         as_positive(start_std, "start_std")
-        self.start_std = start_std
+        if not 0 <= anywhere <= 1:
+            raise InputError(f"anywhere must be in [0, 1], got {anywhere}")
+        self.start_std, self.anywhere = start_std, anywhere
         self.window = None if window is None else check_int(window, "window", low=1)
         self.proposal_loss = ProposalLoss()
         keep_fixed(self.model, fixed)
@@ -70,11 +75,14 @@ class SceneFit(Fit):
         return self.loss(outcome) + self.proposal_loss(outcome)
 
     def outcome(self, batch: SceneBatch, seeds: Tensor) -> Outcome:
-        tracked = self.tracker.filter
+        tracked, observations = self.tracker.filter, heard(self.tracker, batch, self.warm_up)
         position, known = true_position(self.tracker, batch, self.warm_up)
         noise = tracked.noise(seeds)
         belief = tracked.spread_around(position[0], noise, std=self.start_std)
-        observations = heard(self.tracker, batch, self.warm_up)
+        if self.anywhere > 0:
+            anywhere = noise.uniform(1, 1) < self.anywhere
+            spread = tracked.spread_over(self.tracker.region, noise)
+            belief = belief._replace(state=torch.where(anywhere, spread.state, belief.state))
         cloud = run_in_windows(tracked, belief, observations, self.tracker.dt, noise, self.window)
         return Outcome(cloud, tracked.dynamics.kinematics(cloud.state), position, known)
 

@@ -1,7 +1,7 @@
 """Front ends and trackers as settings of plain values, which a configuration file can say."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -50,19 +50,7 @@ class Lehmann2007FrontEnd(FrontEndSettings):
     speed_of_sound: float = SPEED_OF_SOUND
 
     def make(self, array: MicrophoneArray, fs: int) -> FrontEnd:
-        tracker = lehmann2007(
-            array,
-            Region.around(array),
-            vad=self.vad,
-            vad_threshold=self.vad_threshold,
-            vad_slope=self.vad_slope,
-            fs=fs,
-            frame_length=self.frame_length,
-            hop=self.hop,
-            band_low=self.band_low,
-            band_high=self.band_high,
-            speed_of_sound=self.speed_of_sound,
-        )
+        tracker = lehmann2007(array, Region.around(array), fs=fs, **asdict(self))
         return tracker.front_end
 
 
@@ -123,8 +111,7 @@ class Lehmann2007Settings(TrackerSettings):
             keep_out=self.keep_out,
             exponent=self.exponent,
             fs=self.fs,
-            frame_length=self.front_end.frame_length,
-            hop=self.front_end.hop,
+            **asdict(self.front_end),
         )
         standard = made.filter
         tracked = ParticleFilter(
@@ -135,7 +122,7 @@ class Lehmann2007Settings(TrackerSettings):
             origin=array.centre,
             relocation=self.relocation,
         )
-        tracker = Tracker(self.front_end.make(array, self.fs), tracked, made.region, fs=self.fs)
+        tracker = Tracker(made.front_end, tracked, made.region, fs=self.fs)
         if self.parameters is not None:
             read_parameters(self.parameters, tracker, partly=True)  # an earlier run may have kept some fixed
         return tracker
