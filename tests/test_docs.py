@@ -50,6 +50,8 @@ def user_files(tmp_path_factory):
     (folder / "audio.wav").rename(folder / "recording.wav")
     (folder / "settings.yaml").write_text("array: array.yaml\nnum_particles: 300\n")
     (folder / "fit.yaml").write_text(blocks(ROOT / "docs" / "fitting.md", "yaml")[0][1])
+    for _, text in blocks(ROOT / "docs" / "fitting_scenes.md", "yaml"):  # which begin with their names
+        (folder / text.split()[1]).write_text(text)
     return folder
 
 

@@ -44,9 +44,11 @@ _CONFIG, _CHECKPOINTS, _RESULT = "config.yaml", "checkpoints", "parameters.yaml"
 class FitParser(LightningArgumentParser):
     """Lightning's parser, whose configuration file may come first without `--config`."""
 
-    def parse_args(self, args: Sequence[str]) -> Namespace:  # type: ignore[override]  # commands give nothing else
+    def parse_args(  # type: ignore[override]  # classes within classes are parsed by parsers of this class too
+        self, args: Sequence[str], namespace: Namespace | None = None, env: bool | None = None, defaults: bool = True
+    ) -> Namespace:
         with_flag = ["--config", *args] if args and not args[0].startswith("-") else list(args)
-        return super().parse_args(with_flag)
+        return super().parse_args(with_flag, namespace, env, defaults)
 
 
 def parser() -> FitParser:
