@@ -211,6 +211,120 @@ def test_order_of_the_particles_plays_no_part():
     assert_same_track(one, particle_filter(y, shuffled, DT, Permuted(order)), rtol=1e-9, atol=1e-9)
 
 
+# whole clouds
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (3, 2)])
+def test_run_gives_the_clouds_whose_means_are_the_track(batch):
+    particle_filter, y, count = langevin_filter(40), walk(25), math.prod(batch)
+    seeds = torch.arange(count).reshape(batch) + 4
+    y = y.reshape(25, *[1] * len(batch), 2)
+    belief, noise = started(particle_filter, seeds)
+    with torch.no_grad():
+        last, track = particle_filter.advance(belief, y, DT, noise)
+    belief, noise = started(particle_filter, seeds)
+    after, cloud = particle_filter.run(belief, y, DT, noise)
+    assert cloud.state.shape == (25, *batch, 40, 4)
+    assert cloud.log_weight.shape == (25, *batch, 40)
+    assert cloud.log_proposal is None
+    torch.testing.assert_close(after.state, last.state)
+    torch.testing.assert_close(after.log_weight, last.log_weight)
+    torch.testing.assert_close(after.log_evidence, last.log_evidence)
+    torch.testing.assert_close(cloud.log_evidence, track.log_evidence)
+    torch.testing.assert_close(cloud.log_weight.exp().sum(-1), torch.ones(25, *batch))
+    mean = (cloud.log_weight.exp()[..., None] * cloud.state[..., :2]).sum(-2)
+    torch.testing.assert_close(mean, track.position)
+    assert not cloud.lost.any()
+
+
+def test_run_adds_to_the_evidence_of_the_belief_and_goes_on_from_it():
+    particle_filter, y = langevin_filter(40), walk(12)
+    belief, noise = started(particle_filter)
+    whole = particle_filter.run(belief, y, DT, noise)
+    belief, noise = started(particle_filter)
+    first, one = particle_filter.run(belief, y[:5], DT, noise)
+    last, other = particle_filter.run(first, y[5:], DT, noise)
+    torch.testing.assert_close(torch.cat([one.state, other.state]), whole[1].state)
+    torch.testing.assert_close(torch.cat([one.log_evidence, other.log_evidence]), whole[1].log_evidence)
+    torch.testing.assert_close(last.log_evidence, whole[0].log_evidence)
+
+
+def test_evidence_of_clouds_has_the_gradient_of_finite_differences():
+    # resampling never, so that the evidence is a smooth function of the parameters
+    particle_filter = langevin_filter(15, resample=Adaptive(resampling.systematic, 0))
+    y, step = walk(6), 1e-6
+
+    def evidence():
+        belief, noise = started(particle_filter)
+        return particle_filter.run(belief, y, DT, noise)[1].log_evidence
+
+    weight = torch.randn(6)
+    (evidence() * weight).sum().backward()
+    for name, parameter in particle_filter.named_parameters():
+        values = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                parameter.add_(sign * step)
+                values.append((evidence() * weight).sum())
+                parameter.add_(-sign * step)
+        exact = (values[0] - values[1]) / (2 * step)
+        torch.testing.assert_close(parameter.grad, exact, rtol=1e-6, atol=1e-8, msg=name)
+
+
+# time steps
+
+
+@pytest.mark.parametrize("shape", [(), (7,), (7, 3)])
+def test_equal_time_steps_of_each_frame_are_one_number(shape):
+    particle_filter, y, seeds = langevin_filter(30), walk(7, 1), torch.arange(3)
+    exact = run(particle_filter, y, seeds)
+    belief, noise = started(particle_filter, seeds)
+    assert_same_track(particle_filter(y, belief, torch.full(shape, DT), noise), exact)
+
+
+def test_each_run_has_its_own_time_steps():
+    particle_filter, y = langevin_filter(30), walk(7)
+    dt = 0.05 + 0.2 * torch.rand(7, 3)
+    belief, noise = started(particle_filter, torch.arange(3))
+    together = particle_filter(y[:, None], belief, dt, noise)
+    for i in range(3):
+        belief, noise = started(particle_filter, i)
+        alone = particle_filter(y, belief, dt[:, i], noise)
+        torch.testing.assert_close(together.position[:, i], alone.position, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(together.log_evidence[:, i], alone.log_evidence, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(alone.time, dt[:, i].cumsum(0) - dt[0, i])
+    torch.testing.assert_close(together.time, dt[:, 0].cumsum(0) - dt[0, 0])
+
+
+@torch.no_grad()
+def test_time_steps_that_differ_are_those_of_the_kalman_filter():
+    y, runs, dt = walk(5), 60, torch.tensor([0.05, 0.4, 0.1, 0.9, 0.2])
+    particle_filter = langevin_filter(800)
+    belief, noise = started(particle_filter, torch.arange(runs))
+    track = particle_filter(y[:, None], belief, dt, noise)
+    law = Gaussian(torch.tensor([*POINT, 0.0, 0.0]), torch.tensor([SPREAD**2] * 2 + [SPEED**2] * 2).diag())
+    for t, step in enumerate(dt.tolist()):  # one frame at a time, each with a system of its own
+        result = kalman_filter(y[t : t + 1], position_system(lehmann2007("CU-LAN"), step, STD), law)
+        law = Gaussian(result.filtered.mean[0], result.filtered.covariance[0])
+        assert_mean(track.position[t][None], law.mean[:2])
+
+
+@pytest.mark.parametrize(
+    ("dt", "error", "match"),
+    [
+        (torch.full((4,), 0.1), ShapeError, r"dt must be one number or have shape \(3, \*\(2,\)\), got \(4,\)"),
+        (torch.full((3, 5), 0.1), ShapeError, "dt must be one number or have shape"),
+        (torch.tensor([0.1, 0.0, 0.1]), InputError, "dt must be positive seconds, got 0.0 into frame 1"),
+        (torch.tensor([0.1, 0.1, math.nan]), InputError, "dt must be positive seconds, got nan into frame 2"),
+    ],
+)
+def test_rejects_time_steps_that_cannot_be(dt, error, match):
+    particle_filter = langevin_filter(5)
+    belief, noise = started(particle_filter, torch.arange(2))
+    with pytest.raises(error, match=match):
+        particle_filter(walk(3, 1), belief, dt, noise)
+
+
 # frames that say nothing, or that cannot be
 
 

@@ -268,3 +268,84 @@ def test_keep_out_that_cannot_be(keep_out):
 def test_keep_out_that_leaves_no_place():
     with pytest.raises(InputError, match="holds no place that is keep_out = 9 m from every microphone"):
         likelihood(keep_out=9.0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("exponent", [20.0, 80.0])
+def test_large_exponents_neither_overflow_nor_vanish(dtype, exponent):
+    # a power of 1e-3 to the 80 is below the smallest float32, and so is the square of its integral in the gradient
+    torch.set_default_dtype(dtype)
+    model = SteeredPowerLikelihood(Bump(), Region((0.0, -0.5), (2.0, 1.0)), exponent=exponent, grid_points=10_000)
+    x, g, alpha = torch.tensor([[0.3, 0.1], [1.9, -0.4]], requires_grad=True), torch.tensor(1e-3), 0.35
+    gcc = (g * torch.ones(1, 4, 6)).requires_grad_()
+    value = model(at_frame(model.prepare(Heard(gcc, torch.tensor([alpha]))), 0), moving(x))
+    # P^r / integral of P^r, whatever g: g cancels, so that gcc has no gradient
+    ratio = ((1 + x.detach().double()[:, 0]) / 3) ** exponent * (exponent + 1) / (4.5 * (1 - 3 ** -(exponent + 1.0)))
+    exact = ((1 - alpha) / 3 + alpha * ratio).log()
+    # the integral is a mean over 87 cells along x, by the midpoint rule: relative error (r h / 3)^2 / 24
+    torch.testing.assert_close(value.double(), exact, rtol=0, atol=0.03)
+    by_gcc, by_x = torch.autograd.grad(value.sum(), (gcc, x), retain_graph=True)
+    (by_exponent,) = torch.autograd.grad(value[1], model.log_exponent)
+    assert by_gcc.isfinite().all()
+    assert by_gcc.abs().sum() < 1e-2 * exponent / g  # of single terms r / g that cancel
+    assert by_exponent.isfinite()
+    assert by_exponent != 0
+    share = alpha * ratio[1] / exact[1].exp()
+    torch.testing.assert_close(by_x[1, 0].double(), share * exponent / 2.9, rtol=0.03, atol=0)
+
+
+def test_density_does_not_depend_on_the_scale_of_the_power():
+    model = SteeredPowerLikelihood(Bump(), Region((0.0, -0.5), (2.0, 1.0)), exponent=2.6)
+    values = []
+    for g in (0.9, 0.01):
+        gcc = torch.full((1, 4, 6), g)
+        values.append(model(at_frame(model.prepare(Heard(gcc, torch.tensor([0.6]))), 0), moving(torch.rand(1, 2) * 0)))
+    torch.testing.assert_close(values[0], values[1])
+
+
+def test_map_is_the_logarithm_of_the_power_on_the_cells_of_a_grid():
+    gcc, model = likelihood(map_points=300)
+    heard = observed(gcc, [0.2, 1.0])
+    found = model.evidence_map(model.prepare(heard))
+    size = torch.tensor([3.4 / round(3.4 / (AREA / 300) ** 0.5), 2.1 / round(2.1 / (AREA / 300) ** 0.5)])
+    torch.testing.assert_close(found.size, size)
+    assert found.centre.shape == (round(AREA / float(size.prod())), 2)
+    assert found.log_evidence.shape == (2, len(found.centre))
+    # by the nearest lag: 0.04 of the largest power is said of two microphones, here are five
+    exact = model.power(heard.gcc, found.centre)
+    assert (found.log_evidence.exp() - exact).abs().max() < 0.04
+    corners = torch.tensor([LOW, HIGH])
+    torch.testing.assert_close(found.centre.amin(0), corners[0] + size / 2)
+    torch.testing.assert_close(found.centre.amax(0), corners[1] - size / 2)
+
+
+def test_map_has_no_gradient_and_leaves_out_cells_without_a_free_place():
+    gcc, model = likelihood(map_points=300, keep_out=0.4)
+    tables = observed(gcc, [1.0])
+    found = model.evidence_map(model.prepare(tables._replace(gcc=tables.gcc.requires_grad_())))
+    assert not found.log_evidence.requires_grad
+    half, microphones = found.size / 2, torch.tensor(POSITIONS)
+
+    def farthest(cell):
+        """Of points all over a cell, the largest distance from the microphone that is nearest to it."""
+        unit = torch.cartesian_prod(torch.linspace(-1, 1, 15), torch.linspace(-1, 1, 15))
+        return torch.cdist(cell + half * unit, microphones).amin(-1).amax()
+
+    cells = Region(LOW, HIGH).grid(300)
+    kept = (cells[:, None] == found.centre).all(-1).any(-1)
+    free = torch.stack([farthest(cell) for cell in cells]) >= 0.4
+    assert not (free & ~kept).any()  # every cell some of which is free is there
+    assert (~kept).any()
+    assert torch.cdist(found.centre, microphones).amin() > 0.4 - half.norm() - 1e-9
+
+
+def test_possible_is_where_the_density_is_not_zero():
+    gcc, model = likelihood(keep_out=0.3)
+    points = torch.tensor(LOW) - 0.3 + torch.rand(4, 3, 50, 2) * torch.tensor([4.0, 2.7])
+    frame = at_frame(model.prepare(observed(gcc, [0.5])), 0)
+    possible = model.possible(points)
+    assert torch.equal(possible, model(frame, moving(points)).isfinite())
+    assert possible.any()
+    assert not possible.all()
+    assert model.possible(points[0, 0, 0]).shape == ()
+    assert not model.possible(torch.tensor([math.nan, 0.0]))
