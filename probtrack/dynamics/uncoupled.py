@@ -80,6 +80,10 @@ class CoordinateUncoupled(Dynamics):
 
     def kinematics(self, state: Tensor) -> Kinematics:
         check_event(state, (self.state_dim,), "state")
+        if state.requires_grad:
+            # split variables first: gradients lie in memory as clouds do, and one is not copied to meet another
+            position, velocity, *_ = state.movedim(-1, 0).split(self.axes)
+            return Kinematics(position.movedim(0, -1), velocity.movedim(0, -1))
         # narrow: a third of the time of an index, and a filter asks every frame
         return Kinematics(state.narrow(-1, 0, self.axes), state.narrow(-1, self.axes, self.axes))
 

@@ -1,7 +1,7 @@
 """What is reported of weighted particle clouds: means, spreads and directions."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -51,13 +51,30 @@ class Frames(NamedTuple):
     def together(self) -> Cloud:
         """Return the frames with time as the first axis."""
         log_weight, lost = _stacked(self.log_weight), _stacked(self.lost)
-        # the evidence is what log weights were normalised by, read off the largest ones: a second logsumexp would
-        # cost as much as all the rest
-        evidence = _stacked(self.joint).amax(-1) - log_weight.amax(-1)
+        evidence = _Evidence.apply(_stacked(self.joint), log_weight.detach())
         # states lie in memory variables first: stacked like that, and turned without a copy
         state = _stacked([state.movedim(-1, 0) for state in self.state]).movedim(1, -1)
         proposal = _stacked(self.log_proposal) if self.log_proposal else None
         return Cloud(state, log_weight, evidence.masked_fill(lost, 0.0), lost, proposal)
+
+
+class _Evidence(torch.autograd.Function):
+    """What log weights were normalised by (...), given those before (..., N) and after (..., N).
+
+    Read off the largest ones: a second logsumexp would cost as much as all the rest. Its gradient is that of a
+    logsumexp all the same, the weights.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, joint: Tensor, log_weight: Tensor) -> Tensor:
+        evidence = joint.amax(-1) - log_weight.amax(-1)
+        ctx.save_for_backward(joint, evidence)
+        return evidence
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        joint, evidence = ctx.saved_tensors
+        return gradient[..., None] * (joint - evidence[..., None]).exp(), None
 
 
 def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:

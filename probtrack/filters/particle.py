@@ -245,7 +245,7 @@ class ParticleFilter(nn.Module):
             joint = predicted + likelihood(observation, kinematics(state))  # step 2, update
             log_weight, lost = torch.log_softmax(joint, -1), none_lost
             # log_softmax of a row that is -inf throughout is NaN throughout: its first number tells
-            first = log_weight[..., 0]
+            first = log_weight.detach()[..., 0]
             if math.isnan((first.sum() if first.ndim else first).item()):
                 # a corrected weight sums to 1 in expectation only
                 corrected = relocate is not None or correction is not None or not resample.normalised

@@ -1,6 +1,7 @@
 """What a resampling scheme is, and the one way from the draws to a new cloud."""
 
 import abc
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -138,14 +139,18 @@ def drawn_by(ends: Tensor) -> Tensor:
         draws = torch.arange(size, dtype=ends.dtype, device=ends.device)
         return torch.searchsorted(ends, draws, right=True, out_int32=True)
     # counted by one scatter and one sum: at 1e5 particles 40 times as fast as the search, 6 times as repeat_interleave
-    ends = ends.long()
-    if ends.ndim > 1:
-        rows = torch.arange(0, ends.numel(), size, device=ends.device)
-        ends = ends.reshape(-1, size) + rows[:, None]
-    ends = ends.flatten()
-    reached = torch.zeros(len(ends) + 1, dtype=torch.int32, device=ends.device)
-    reached.scatter_add_(0, ends, torch.ones_like(reached[1:]))
-    return reached.cumsum(0, dtype=torch.int32)[:-1]
+    before, ones = _rows(ends.numel(), size, ends.device)
+    reached = torch.zeros(ends.numel() + 1, dtype=torch.int32, device=ends.device)
+    reached.scatter_add_(0, before + ends.reshape(-1).long(), ones)
+    return reached.cumsum(0, dtype=torch.int32).narrow(0, 0, ends.numel())
+
+
+@functools.lru_cache(maxsize=8)  # the same every frame
+def _rows(numel: int, size: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return how many particles lie in clouds of `size` before that of each of `numel`, and as many ones."""
+    with torch.inference_mode(False):
+        starts = torch.arange(0, numel, size, device=device)
+        return starts.repeat_interleave(size), torch.ones(numel, dtype=torch.int32, device=device)
 
 
 def cumulative(weight: Tensor) -> Tensor:
