@@ -11,6 +11,7 @@ from torch.distributions import Independent, Normal
 from probtrack.dynamics import Dynamics, Kinematics, lehmann2007
 from probtrack.errors import InputError, ShapeError
 from probtrack.filters import Adaptive, Belief, ParticleFilter, Relocation, StopGradient
+from probtrack.filters.relocation import _first_beyond, _near, _within_reach
 from probtrack.filters.resampling import systematic
 from probtrack.likelihoods import EvidenceMap, GaussianPosition, Likelihood
 from probtrack.training import NegativeLogEvidence, Outcome, ProposalLoss
@@ -260,3 +261,28 @@ def test_rejects_speech_of_another_shape():
     belief = Belief(torch.zeros(5, 1), torch.full((5,), -math.log(5)), torch.zeros(()))
     with pytest.raises(ShapeError, match="speech must have shape"):
         tracked.run(belief, Heard(PEAKS.double(), SPEECH[:, None].double()), DT, tracked.noise(0))
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 1e-4)])
+def test_cells_are_drawn_by_the_normal_law_about_the_cloud(dtype, tolerance):
+    position = torch.randn(3, 7, 2, dtype=dtype) + torch.tensor([4.0, -2.0], dtype=dtype)
+    log_weight, centre = torch.randn(3, 7, dtype=dtype).log_softmax(-1), torch.rand(11, 2, dtype=dtype) * 3 + 1
+    weight = log_weight.exp()[..., None]
+    mean = (weight * position).sum(-2)
+    variance = (weight * position.square()).sum(-2) - mean.square() + 0.16
+    heard = 2 * torch.randn(1, 11, dtype=dtype)
+    density = Independent(Normal(mean[:, None], variance.sqrt()[:, None]), 1).log_prob(centre)
+    expected = 0.9 * (heard + density).softmax(-1) + 0.1 * density.softmax(-1)
+    near = _near(position, log_weight, torch.tensor(0.16, dtype=dtype), centre)
+    assert torch.allclose(_within_reach(heard, near), expected, atol=tolerance)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (0,), (2, 3)])
+@pytest.mark.parametrize("chance", [0.0, 0.4, 1.0])
+def test_who_goes_finds_its_cell(batch, chance):
+    ends, uniform = torch.rand(*batch, 11).cumsum(-1), 5 * torch.rand(*batch, 7)
+    goes = (torch.rand(*batch, 7) < chance).double()
+    counted = (ends[..., None, :] <= uniform[..., None]).sum(-1).clamp_max(10)
+    cell = _first_beyond(ends, uniform, goes)
+    assert cell.shape == goes.shape
+    assert torch.equal(cell[goes > 0], counted[goes > 0])
