@@ -116,31 +116,22 @@ def test_every_part_of_a_tracker_gets_a_gradient(one_talker, window):
 
 
 @pytest.mark.parametrize("loss", [BOTH, SquaredError()], ids=["both", "squared error"])
-@pytest.mark.parametrize(
-    "name",
-    [
-        "filter.likelihood.log_exponent",
-        "front_end.vad.threshold",
-        "front_end.vad.log_slope",
-        "front_end.gcc.log_weight",
-        "filter.dynamics.axis_model.process.log_rate",
-    ],
-)
-def test_gradients_are_finite_differences_where_nothing_is_drawn_again(one_talker, name, loss):
-    fit, sound = scene_fit(one_talker, loss), batch(one_talker)
-    parameter, step = dict(fit.model.named_parameters())[name], 1e-5
+def test_gradients_are_finite_differences_where_nothing_is_drawn_again(one_talker, loss):
+    fit, sound, step = scene_fit(one_talker, loss), batch(one_talker), 1e-5
     fit.run_loss(sound, 0).mean().backward()
-    direction = torch.randn_like(parameter)
-    values = []
-    for sign in (1, -1):
-        with torch.no_grad():
-            parameter.add_(sign * step * direction)
-            values.append(fit.run_loss(sound, 0).mean())
-            parameter.add_(-sign * step * direction)
-    # central differences: an error of step^2, and rounding over step
-    exact = (parameter.grad * direction).sum()
-    torch.testing.assert_close((values[0] - values[1]) / (2 * step), exact, rtol=1e-5, atol=1e-8)
-    assert exact.abs() > 1e-6
+    for name, parameter in fit.model.named_parameters():
+        if not parameter.requires_grad:
+            continue
+        direction, values = torch.randn_like(parameter), []
+        for sign in (1, -1):
+            with torch.no_grad():
+                parameter.add_(sign * step * direction)
+                values.append(fit.run_loss(sound, 0).mean())
+                parameter.add_(-sign * step * direction)
+        # central differences: an error of step^2, and rounding over step
+        exact = (parameter.grad * direction).sum()
+        torch.testing.assert_close((values[0] - values[1]) / (2 * step), exact, rtol=1e-5, atol=1e-8, msg=name)
+        assert exact.abs() > 1e-6, name
 
 
 def test_loss_of_a_recording_does_not_depend_on_the_batch_it_sits_in(one_talker):
@@ -226,15 +217,13 @@ def test_validation_counts_known_frames_only(one_talker, monkeypatch):
     assert said == {}
 
 
-def test_single_precision_is_close_to_double(one_talker):
-    exact = scene_fit(one_talker).run_loss(batch(one_talker), 0)
+def test_works_in_single_precision(one_talker):
     torch.set_default_dtype(torch.float32)
     fit = scene_fit(one_talker)
-    rough = fit.run_loss(batch(one_talker), 0)
-    rough.mean().backward()
-    assert rough.dtype == torch.float32
-    assert rough.isfinite().all()
-    assert (rough - exact).abs().max() < 1  # other random numbers
+    loss = fit.run_loss(batch(one_talker), 0)
+    loss.mean().backward()
+    assert loss.dtype == torch.float32
+    assert loss.isfinite().all()
     assert all(p.grad is None or p.grad.isfinite().all() for p in fit.model.parameters())
 
 
@@ -285,6 +274,7 @@ def moved(sound):
         (not_finite, r"^1_\+20dB: true positions must be finite, not so in frame 3"),
         (flat, r"^0_\+20dB: has positions in 1 axes, this tracker has 2"),
         (moved, r"^1_\+20dB: has microphones 0.01 m from those of the tracker's array"),
+        (lambda sound: sound._replace(array=sound.array.flip(1)), r"^0_\+20dB: has microphones 0.197231 m from those"),
         (lambda sound: sound._replace(array=sound.array[:, :2]), r"^0_\+20dB: has 2 microphones, the .* array has 3"),
         (lambda sound: sound._replace(grid=sound.grid._replace(hop=256)), r"same frame_length, hop and fs: .*256, 160"),
         (lambda sound: sound._replace(grid=sound.grid._replace(frame_length=512)), "same frame_length, hop and fs"),

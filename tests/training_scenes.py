@@ -57,7 +57,7 @@ def small_data_set(tmp_path_factory):
 def _made_for_one(folder):
     file = folder / "three.yaml"
     array().to_yaml(file, Region(LOW, HIGH))
-    one = small_scene(file, num_talkers=1, trajectories=GivenPaths(WAYS[1:]))
+    one = small_scene(file, duration=0.9, num_talkers=1, trajectories=GivenPaths(WAYS[1:]))
     for _ in make_data_set(DataSet((one,), 2, (20.0,), 4), folder / "set", None):
         pass
     return folder
