@@ -3,7 +3,7 @@
 python -m experiments.black_box
 
 Both begin from S1's Table 1 and change the same values of CU-LAN and its likelihood: rate, speed and exponent, and
-those of the relocation. CMA-ES makes S1's RMSE over a training set small (eq. 33 by search, as S1 had in mind); gradient
+those of the relocation. CMA-ES makes S1's RMSE over a training set small (eq. 33, by search); gradient
 descent follows the likelihood of the true position under the cloud. Both are judged by the RMSE on recordings that
 neither saw, whenever a fifth of the time is over.
 """
