@@ -33,13 +33,15 @@ class Config:
     runs: int = 50
     num_particles: int = 500
     keep_out: float = 0.2  # m
+    models: tuple[Model, ...] = MODELS
+    parameters: str = "printed"  # or learned, or a file
 
 
 def main(config: Config) -> dict[str, Any]:
     """Print and return figures of each model, angles in degrees and lengths in metres."""
     torch.set_num_threads(1)
     samples = Recording.open(config.data_dir / "recordings/seq11-1p-0100_array1_8ch.flac").read()
-    result: dict[str, Any] = {model: run_model(model, samples, config) for model in MODELS}
+    result: dict[str, Any] = {model: run_model(model, samples, config) for model in config.models}
     print(json.dumps({"config": {**asdict(config), "data_dir": config.data_dir.name}, "result": result}))
     return result
 
@@ -54,6 +56,7 @@ def run_model(model: Model, samples: torch.Tensor, config: Config) -> dict[str, 
         MicrophoneArray.from_yaml(path),
         region,
         model,
+        parameters=config.parameters,
         num_particles=config.num_particles,
         keep_out=config.keep_out,
     )
