@@ -80,7 +80,7 @@ def begun(config: Config) -> SceneFit:
 
 def recordings(name: str, config: Config) -> SceneBatch:
     """Return observations of some whole recordings of a data set, at all of its signal-to-noise ratios."""
-    folders = data_set(name, config)
+    folders = data_set(name, config.data, quick=config.quick)
     count = 2 if config.quick else config.recordings
     chosen = [folders[round(i)] for i in np.linspace(0, len(folders) - 1, count)]
     tracker = begun(config).tracker
@@ -99,14 +99,15 @@ def rmse(fit: SceneFit, batch: SceneBatch, draw: int) -> float:
 
 def descend(fit: SceneFit, training: SceneBatch, config: Config) -> Iterator[int]:
     """Follow the gradient on crops of the recordings, half of them begun anywhere; yields the number of filter runs."""
-    fit.anywhere = 0.5
     optimiser = fit.configure_optimizers()
     frames, crop, step = training.num_frames, 150, 0
     generator = torch.Generator().manual_seed(config.seed)
     while True:
         start = int(torch.randint(frames - crop, (), generator=generator))
         batch = cropped(training, start, crop)
+        fit.anywhere = 0.5
         loss = fit.run_loss(batch, step).mean()
+        fit.anywhere = 0.0  # judged, like all others, from around the talker's first position
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(fit.parameters(), 1.0)

@@ -123,6 +123,8 @@ def _values(path: str | Path) -> dict[Any, Any]:
 def _parameter(what: str, name: str, value: object, like: Tensor) -> Tensor:
     """Return the unconstrained parameter for a `value` of a file, or raise `InputError`."""
     try:
+        if isinstance(value, bool):
+            raise TypeError
         given = torch.tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{what} must be a number, or rows of as many numbers each, got {value!r}") from None

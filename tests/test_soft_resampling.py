@@ -18,7 +18,7 @@ from probtrack.filters import (
     position_system,
     resampling,
 )
-from probtrack.filters.resampling import Soft, multinomial, systematic
+from probtrack.filters.resampling import MarginalStopGradient, Soft, multinomial, systematic
 from probtrack.likelihoods import GaussianPosition
 
 SCHEMES = [systematic, resampling.stratified, multinomial, resampling.residual]
@@ -178,3 +178,8 @@ def test_weights_sum_to_one_where_no_particle_was_possible():
     _, cloud = bootstrap.run(bootstrap.spread_around(torch.zeros(3, 2), noise), y, 0.5, noise)
     assert cloud.lost.sum() == 3
     torch.testing.assert_close(cloud.log_weight.exp().sum(-1), torch.ones(4, 3))
+
+
+def test_a_scheme_that_follows_moves_is_refused():
+    with pytest.raises(InputError, match="would leave out what it does after them"):
+        Soft(MarginalStopGradient(systematic))

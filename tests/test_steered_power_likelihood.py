@@ -14,7 +14,7 @@ from probtrack.audio import GeneralisedCrossCorrelation, ShortTimeSpectrum, Stee
 from probtrack.dynamics import Kinematics
 from probtrack.errors import InputError, ShapeError
 from probtrack.geometry import MicrophoneArray, Region
-from probtrack.likelihoods import SteeredPowerLikelihood
+from probtrack.likelihoods import PreparedPower, SteeredPowerLikelihood
 
 POSITIONS = [[0.31, -0.2], [0.92, 0.04], [0.27, 0.55], [-0.45, 0.11], [1.2, 0.7]]
 LOW, HIGH = (-1.0, -0.5), (2.4, 1.6)
@@ -349,3 +349,14 @@ def test_possible_is_where_the_density_is_not_zero():
     assert not possible.all()
     assert model.possible(points[0, 0, 0]).shape == ()
     assert not model.possible(torch.tensor([math.nan, 0.0]))
+
+
+def test_a_power_that_vanishes_beside_certain_speech_has_a_finite_gradient():
+    torch.set_default_dtype(torch.float32)
+    likelihood = SteeredPowerLikelihood(Bump(), Region(LOW, HIGH), exponent=60.0)
+    heard = Heard(torch.ones(1, 3, 4), torch.ones(1))
+    position = torch.tensor([[-0.99, 0.3], [2.3, 0.1]], requires_grad=True)
+    frame = PreparedPower(*(x[0] for x in likelihood.prepare(heard)))
+    likelihood(frame, Kinematics(position, torch.zeros_like(position))).sum().backward()
+    assert position.grad.isfinite().all()
+    assert likelihood.log_exponent.grad.isfinite()

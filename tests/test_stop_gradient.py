@@ -3,7 +3,9 @@
 import pytest
 import torch
 
+from probtrack.errors import InputError
 from probtrack.filters import Adaptive, StopGradient, resampling
+from probtrack.filters.resampling import Soft, systematic
 
 SCHEMES = [resampling.systematic, resampling.stratified, resampling.multinomial, resampling.residual]
 
@@ -60,3 +62,8 @@ def test_without_gradients_nothing_is_added():
     drawn, weights = StopGradient(resampling.systematic)(state, log_weight.detach(), torch.rand(1))
     assert not weights.requires_grad
     assert drawn.shape == state.shape
+
+
+def test_weights_that_a_scheme_has_drawn_by_cannot_count_twice():
+    with pytest.raises(InputError, match=r"write Soft\(StopGradient\(scheme\)\)"):
+        StopGradient(Soft(systematic))

@@ -249,3 +249,11 @@ def test_precision_of_files_is_half(data_set):
     found = kept.put(data_set / "kept" / "x.pt", Observations(gcc, torch.rand(40)))
     assert (found.gcc - gcc).abs().max() <= 0.05 * 2**-11
     assert torch.equal(kept.get(data_set / "kept" / "x.pt").gcc, found.gcc)
+
+
+def test_recordings_of_two_data_sets_have_names_of_their_own(data_set, tmp_path):
+    again = shutil.copytree(data_set, tmp_path / "again")
+    first, second = (sorted(path.parent for path in folder.rglob("scene.yaml"))[0] for folder in (data_set, again))
+    assert first.name == second.name
+    dataset = SceneDataset([first, second])
+    assert len({dataset[0].name, dataset[1].name}) == 2

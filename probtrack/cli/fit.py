@@ -192,6 +192,8 @@ def _write_config(out: Path, text: str) -> None:
 def _result(out: Path, model: Fit, config: dict[str, Any]) -> str:
     """Write the parameters of the best epoch, or without validation of the last; returns a line that says so."""
     folder = out / _CHECKPOINTS
+    if not (folder / LAST).exists():
+        raise InputError(f"{out}: no epoch was finished, so that there is nothing to write")
     last = check_checkpoint(folder / LAST, model)
     chosen = folder / BEST if (folder / BEST).exists() else folder / LAST
     content = load_weights(chosen, model)

@@ -137,7 +137,9 @@ class SteeredPowerLikelihood(Likelihood):
         distances = self.power.distances(position)
         power = self._to_the_exponent(observation.scale * self.power.steered(observation.gcc, distances))
         density = torch.addcmul(observation.clutter, observation.target, power)
-        return torch.where(self._possible(position, distances), density.log(), -torch.inf)
+        # a sharp power may vanish where speech is certain: a logarithm of 0 has no gradient, masked or not
+        log_density = density.clamp_min(torch.finfo(density.dtype).tiny).log()
+        return torch.where(self._possible(position, distances), log_density, -torch.inf)
 
     def possible(self, position: Tensor) -> Tensor:
         points = position.reshape(-1, position.shape[-1])

@@ -82,6 +82,12 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{path}: the checkpoint is truncated, or it is no checkpoint") from None
     if not isinstance(content, dict) or not isinstance(content.get("state_dict"), dict):
         raise InputError(f"{path}: is no checkpoint of a fit: it has no state_dict")
+    missing = [name for name in ("epoch", "global_step") if not isinstance(content.get(name), int)]
+    if missing:
+        raise InputError(f"{path}: is no checkpoint of a fit: it has no {' and no '.join(missing)}")
+    strange = [str(name) for name, value in content["state_dict"].items() if not isinstance(value, torch.Tensor)]
+    if strange:
+        raise InputError(f"{path}: is no checkpoint of a fit: no tensors are {', '.join(strange)}")
     return content
 
 

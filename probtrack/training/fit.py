@@ -121,7 +121,8 @@ class Fit(LightningModule, abc.ABC):
         """
         for config in self.trainer.lr_scheduler_configs:
             if config.reduce_on_plateau:
-                config.interval, config.frequency = "step", int(self.trainer.num_training_batches)
+                epochs = self.trainer.check_val_every_n_epoch or 1
+                config.interval, config.frequency = "step", epochs * int(self.trainer.num_training_batches)
 
     def on_train_epoch_end(self) -> None:
         """Log the physical values of all parameters, and of tables their range."""

@@ -138,6 +138,7 @@ class SceneDataset(Dataset[SceneItem]):
         self.seed = check_int(seed, "seed", low=0)
         self.files = None if self.front_end is None else ObservationFiles(front_end_key(self.front_end, fs), cache)
         self.arrays = arrays_of(self.folders)
+        self._names = _own_names([folder.path for folder in self.folders])
         for number in range(len(self.folders)):
             self._check(number, require_truth)
 
@@ -162,7 +163,7 @@ class SceneDataset(Dataset[SceneItem]):
         dtype = torch.float32 if observations is None else observations.speech.dtype
         truth, time = folder.truth, self.grid.time(start + torch.arange(count))
         return SceneItem(
-            name=folder.path.name,
+            name=self._names[number],
             array=self.arrays[number].positions.to(dtype),
             grid=self.grid,
             start=start,
@@ -219,6 +220,12 @@ class SceneDataset(Dataset[SceneItem]):
             raise InputError(f"{path}: the recording has {total} frames, wanted are at least {self.crop or 1}")
         if require_truth and not (path / TRUTH).exists():
             raise InputError(f"{path}: has no {TRUTH}, and truth is wanted here")
+
+
+def _own_names(paths: list[Path]) -> list[str]:
+    """Return the names of folders, with those of the folders that hold them where two would have one name."""
+    names = [path.name for path in paths]
+    return names if len(set(names)) == len(names) else [f"{path.resolve().parent.name}/{path.name}" for path in paths]
 
 
 def scene_folders(scenes: str | Path | Sequence[str | Path]) -> list[SceneFolder]:

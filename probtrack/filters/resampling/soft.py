@@ -41,6 +41,8 @@ class Soft(Copying):
     def __post_init__(self) -> None:
         if not 0 < self.share <= 1:
             raise InputError(f"share must be in (0, 1], got {self.share}")
+        if self.resampler.follows_moves:
+            raise InputError("Soft around a scheme that follows moves would leave out what it does after them")
 
     @property
     def normalised(self) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from probtrack.errors import InputError
 from probtrack.filters.resampling.base import Copying, copied
 
 
@@ -26,6 +27,10 @@ class StopGradient(Copying):
     """
 
     resampler: Copying
+
+    def __post_init__(self) -> None:
+        if not self.resampler.normalised:
+            raise InputError("StopGradient around Soft would count weights twice: write Soft(StopGradient(scheme))")
 
     @property
     def normalised(self) -> bool:

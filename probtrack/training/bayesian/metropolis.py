@@ -75,7 +75,7 @@ class ParticleMetropolis(Method):
             push = torch.randn_like(here)
             there = here + (root @ push[..., None])[..., 0]
             new = _levels(target, there)
-            chance = (new - level).exp().clamp_max(1.0)
+            chance = (new - level).exp().nan_to_num(0.0).clamp_max(1.0)  # nowhere to nowhere: stay
             taken = torch.rand(len(here)) < chance
             here, level = torch.where(taken[:, None], there, here), torch.where(taken, new, level)
             if warming:
