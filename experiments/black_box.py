@@ -128,7 +128,7 @@ def search(fit: SceneFit, training: SceneBatch, config: Config) -> Iterator[int]
             for parameter, value in zip(parameters, values, strict=True):
                 parameter.fill_(float(value))
 
-    begin = [float(p) for p in parameters]
+    begin = [float(p.detach()) for p in parameters]
     strategy = cma.CMAEvolutionStrategy(
         begin, 0.4, {"seed": config.seed + 1, "popsize": config.population, "verbose": -9}
     )

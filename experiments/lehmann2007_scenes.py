@@ -49,6 +49,7 @@ class Config:
     t60: tuple[Literal["0.27", "0.34"], ...] = ("0.27", "0.34")
     num_particles: int = 75
     exponent: float = 2.0
+    parameters: str = "printed"  # or learned, or a file
     directivity: bool = True  # of the mouth; otherwise it is as loud in all directions
     pauses: bool = True  # otherwise the talker speaks throughout
     speech: str | None = None  # folder of recorded talkers; synthetic ones by default
@@ -114,7 +115,14 @@ def tracked(folders: list[SceneFolder], model: Model, config: Config) -> tuple[T
         region, truth = folder.region, folder.truth
         assert region is not None  # a scene has the room and the truth
         assert truth is not None
-        tracker = lehmann2007(folder.array, region, model, num_particles=config.num_particles, exponent=config.exponent)
+        tracker = lehmann2007(
+            folder.array,
+            region,
+            model,
+            parameters=config.parameters,
+            num_particles=config.num_particles,
+            exponent=config.exponent,
+        )
         position = truth[0].position
         assert position is not None
         track = tracker(folder.open_recording().read(), torch.arange(config.runs), position[0, :2].float())
