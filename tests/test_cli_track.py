@@ -315,5 +315,6 @@ def test_help_does_not_wait_for_torch():
 def test_unknown_command(capsys):
     assert main(["trace"]) == 2
     assert capsys.readouterr().err == (
-        "probtrack: error: no command 'trace': expected one of simulate, track, fit, score, plot (see probtrack --help)\n"
+        "probtrack: error: no command 'trace': "
+        "expected one of simulate, track, fit, score, plot (see probtrack --help)\n"
     )
