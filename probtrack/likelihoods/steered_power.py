@@ -74,8 +74,8 @@ class SteeredPowerLikelihood(Likelihood):
             needs one: next to it a small step is a large angle, and a talker who walks past is explained best
             by particles that crowd between the microphones.
         grid_points: About how many points the integral is a mean of.
-        map_points: About how many cells `evidence_map` has. At 3 kHz a peak is a few cm wide: on 1600 cells of S1's
-            room the largest power, added up over a quarter of a second, is at the talker 80 % of the time, on 400 60 %.
+        map_points: About how many cells `evidence_map` has. At 3 kHz a peak is a few cm wide, and cells far larger miss
+            it.
 
     Shape:
         `prepare` takes observations with `gcc` (T, *batch, P, K) and `speech` (T, *batch). Returns (*batch, N).
