@@ -1,6 +1,7 @@
 """Trajectories: read with checks, laid side by side with gaps and time steps of their own, drawn and walked."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from probtrack.simulation.trajectories import SocialForceWalk
 from probtrack.training import (
     SampledTrajectories,
     Trajectory,
+    TrajectoryDataModule,
     TrajectoryDataset,
     WalkedTrajectories,
     check_trajectory,
@@ -224,3 +226,14 @@ def test_walked_trajectories_are_those_of_the_simulator():
     assert (exact[0].position[0] - exact[1].position[0]).norm() > 0.01
     for one in noisy:
         check_trajectory(one)
+
+
+def test_a_run_that_goes_on_begins_with_the_order_of_its_epoch():
+    data = TrajectoryDataModule(SampledTrajectories(lehmann2007("CU-LAN"), count=7, frames=5), batch_size=2)
+    first, later = data.train_dataloader().sampler, data.train_dataloader().sampler
+    later.set_epoch(3)
+    orders = list(first), list(later)
+    assert orders[0] != orders[1]
+    progress = SimpleNamespace(current=SimpleNamespace(processed=3))
+    data.trainer = SimpleNamespace(fit_loop=SimpleNamespace(epoch_progress=progress))
+    assert list(data.train_dataloader().sampler) == orders[1]

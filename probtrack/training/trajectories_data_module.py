@@ -87,6 +87,8 @@ class TrajectoryDataModule(LightningDataModule):
         if "train" not in self.datasets:
             raise InputError("data module: there are no trajectories for train: name some, or give split a share")
         sampler = SceneSampler(len(self.datasets["train"]), self.seed)
+        if self.trainer is not None:  # a run that goes on begins with the order of its epoch, also in several processes
+            sampler.set_epoch(self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
         return self._loader("train", sampler=sampler)
 
     def val_dataloader(self) -> DataLoader[TrajectoryBatch] | list[DataLoader[TrajectoryBatch]]:

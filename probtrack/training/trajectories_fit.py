@@ -49,7 +49,8 @@ class TrajectoryFit(Fit):
         speed: v, of talkers at the start of a trajectory, r.m.s. on each axis [m/s].
         exact: Whether to use the Kalman filter; None where the model is linear. False for particles in any case.
         num_particles: N of the particle filter.
-        resample: What happens to its clouds; systematic resampling by `StopGradient` on N_eff < 0.5 N if not given.
+        resample: What happens to its clouds; systematic resampling by `StopGradient` on N_eff < 0.5 N if not
+            given. Plain resampling forgets what weights owe to the parameters, which in a curvilinear model is all.
         loss: What is made small; the negative log evidence, a frame, if not given.
         learning_rate: Step of Adam, in units of unconstrained parameters.
         seed: Of the filter's random numbers.
