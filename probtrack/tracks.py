@@ -24,6 +24,8 @@ class Track(NamedTuple):
         std_azimuth: Circular standard deviation of the direction (T, *batch) [rad], likewise.
         speech: P(speech) (T, *batch), where there was audio.
         mode: Probability of each of S motion models (T, *batch, S), if the filter switches between some.
+        covariance: Covariance of the position (T, *batch, A, A) [m^2]; its diagonal is `std` squared.
+        std_heading: Circular standard deviation of the heading (T, *batch) [rad], of models that have a heading.
     """
 
     time: Tensor
@@ -37,6 +39,8 @@ class Track(NamedTuple):
     std_azimuth: Tensor | None = None
     speech: Tensor | None = None
     mode: Tensor | None = None
+    covariance: Tensor | None = None
+    std_heading: Tensor | None = None
 
     @property
     def num_frames(self) -> int:

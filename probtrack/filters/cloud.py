@@ -82,12 +82,14 @@ def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:
     weight = cloud.log_weight.exp()  # (T, *batch, N)
     kinematics, mode = dynamics.kinematics(cloud.state), dynamics.mode(cloud.state)
     mean = weighted_mean(weight, kinematics.position)
-    variance = weighted_mean(weight, (kinematics.position - mean[..., None, :]).square_())
+    covariance = _covariance(weight, kinematics.position - mean[..., None, :])
+    std_heading = None
     if kinematics.modelled_heading is None:
         heading = _angle(weighted_mean(weight, kinematics.velocity))
     else:
         cosine, sine = kinematics.modelled_heading.cos(), kinematics.modelled_heading.sin()
-        heading = _angle(weighted_mean(weight, torch.stack([cosine, sine], -1)))
+        looks = weighted_mean(weight, torch.stack([cosine, sine], -1))
+        heading, std_heading = _angle(looks), _circular_std(looks)
     azimuth, std_azimuth = None, None
     if origin is not None:
         offset = kinematics.position[..., :2] - origin[:2]
@@ -97,7 +99,7 @@ def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:
     return Track(
         time=weight.new_zeros(len(weight)),
         position=mean,
-        std=variance.sqrt(),
+        std=covariance.diagonal(dim1=-2, dim2=-1).sqrt(),
         heading=heading,
         ess=1 / weighted_mean(weight, weight[..., None])[..., 0],
         log_evidence=cloud.log_evidence,
@@ -105,6 +107,8 @@ def track_of(cloud: Cloud, dynamics: Dynamics, origin: Tensor | None) -> Track:
         azimuth=azimuth,
         std_azimuth=std_azimuth,
         mode=None if mode is None else weighted_mean(weight, mode),
+        covariance=covariance,
+        std_heading=std_heading,
     )
 
 
@@ -119,6 +123,17 @@ def weighted_mean(weight: Tensor, values: Tensor) -> Tensor:
         return (values.mT @ weight[..., None])[..., 0]
     # for a batch a product of matrices would copy: its rows lie in memory variables first
     return (values.movedim(-1, 0) * weight).sum(-1).movedim(0, -1)
+
+
+def _covariance(weight: Tensor, deviation: Tensor) -> Tensor:
+    """Return the covariances (..., A, A) of `deviation` (..., N, A) from the mean, with `weight` (..., N)."""
+    axes = range(deviation.shape[-1])
+    row, column = zip(*((i, j) for i in axes for j in axes if i <= j), strict=True)
+    products = torch.stack([deviation[..., i] * deviation[..., j] for i, j in zip(row, column, strict=True)])
+    moments = weighted_mean(weight, products.movedim(0, -1))
+    place = {pair: n for n, pair in enumerate(zip(row, column, strict=True))}
+    order = [place[min(i, j), max(i, j)] for i in axes for j in axes]
+    return moments[..., order].unflatten(-1, (len(axes), len(axes)))
 
 
 def _angle(vector: Tensor) -> Tensor:

@@ -1,0 +1,137 @@
+"""Where talkers are, or are said to be: what metrics compare."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from probtrack.track_files import TrackTable
+from probtrack.tracks import Track
+
+_LONGEST_GAP = 1.0  # s between two rows of a table over which it is interpolated
+_TIME_ROUNDING = 1.01e-6  # s by which two times that files round to a microsecond may differ
+
+
+class Talkers(NamedTuple):
+    """K talkers at the times of T frames: the truth, or what a tracker says. NaN: nobody there, or not known.
+
+    Truth and estimate are of one type, so that whatever tracks can be compared with whatever is known. The batch of
+    the truth may have axes of size 1, shared by all runs.
+
+    Attributes:
+        time: (T,) [s].
+        position: (T, *batch, K, A) [m].
+        azimuth: (T, *batch, K) [rad].
+        heading: (T, *batch, K) [rad].
+        speech: Whether, or how probably, each talks (T, *batch, K), in [0, 1].
+        covariance: Stated covariance of the position (T, *batch, K, A, A) [m^2].
+        std_azimuth: Stated circular standard deviation of the azimuth (T, *batch, K) [rad].
+        std_heading: Stated circular standard deviation of the heading (T, *batch, K) [rad].
+    """
+
+    time: Tensor
+    position: Tensor | None = None
+    azimuth: Tensor | None = None
+    heading: Tensor | None = None
+    speech: Tensor | None = None
+    covariance: Tensor | None = None
+    std_azimuth: Tensor | None = None
+    std_heading: Tensor | None = None
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames T."""
+        return self.time.shape[0]
+
+    @property
+    def dt(self) -> float:
+        """Median time between frames [s]; NaN of fewer than two."""
+        return float(self.time.diff().median())
+
+    def between(self, begin: float, end: float) -> "Talkers":
+        """Return the frames of `begin` <= time < `end` [s]."""
+        inside = (self.time >= begin) & (self.time < end)
+        return Talkers._make(None if column is None else column[inside] for column in self)
+
+    @classmethod
+    def of_track(cls, track: Track) -> "Talkers":
+        """Return the one talker of `track`, with its batch (runs, recordings)."""
+        return cls(
+            track.time.double(),
+            track.position.double()[..., None, :],
+            *(
+                None if x is None else x.double()[..., None]
+                for x in (track.azimuth, track.heading, track.speech)
+            ),
+            covariance=None if track.covariance is None else track.covariance.double()[..., None, :, :],
+            std_azimuth=None if track.std_azimuth is None else track.std_azimuth.double()[..., None],
+            std_heading=None if track.std_heading is None else track.std_heading.double()[..., None],
+        )
+
+    @classmethod
+    def of_tables(cls, tables: Sequence[TrackTable], time: Tensor) -> "Talkers":
+        """Return the talkers of `tables`, one each, at the times `time` (T,) [s].
+
+        Tables are interpolated between rows at most 1 s apart; outside, and in longer gaps, a talker is not known.
+        What not all tables have is left out; of positions with and without a height the plane is kept. Spreads of
+        axes (`std_x`, ...) become a diagonal covariance.
+        """
+        at = [Interpolation(table.time, time.double()) for table in tables]
+        positions = [table.position for table in tables]
+        position, covariance = None, None
+        if all(one is not None for one in positions):
+            axes = min(one.shape[1] for one in positions if one is not None)
+            position = torch.stack([f(one[:, :axes]) for f, one in zip(at, positions, strict=True) if one is not None], 1)
+            stds = [[table.get(f"std_{axis}") for axis in "xyz"[:axes]] for table in tables]
+            if all(std is not None for row in stds for std in row):
+                spread = [f(torch.stack(row, -1)) for f, row in zip(at, stds, strict=True)]  # type: ignore[arg-type]
+                covariance = torch.diag_embed(torch.stack(spread, 1).square())
+        return cls(
+            time.double(),
+            position,
+            _angles(tables, at, "azimuth"),
+            _angles(tables, at, "heading"),
+            _column(tables, at, "speech"),
+            covariance,
+            _column(tables, at, "std_azimuth"),
+            None,
+        )
+
+
+class Interpolation:
+    """Linear interpolation from the times `known` (K,) to `wanted` (T,); NaN outside and in long gaps."""
+
+    def __init__(self, known: Tensor, wanted: Tensor) -> None:
+        last = len(known) - 1
+        after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp_max(last)
+        before = (after - 1).clamp_min(0)
+        # a row at the very time is the truth, whatever its neighbours
+        after = torch.where((wanted - known[before]).abs() <= _TIME_ROUNDING, before, after)
+        self.before = torch.where((wanted - known[after]).abs() <= _TIME_ROUNDING, after, before)
+        self.after = after
+        gap = known[self.after] - known[self.before]
+        self.share = ((wanted - known[self.before]) / gap.clamp_min(_TIME_ROUNDING))[:, None]
+        inside = (wanted >= known[0] - _TIME_ROUNDING) & (wanted <= known[-1] + _TIME_ROUNDING)
+        self.valid = inside & (gap <= _LONGEST_GAP)
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Return `values` (K, J) at the wanted times (T, J)."""
+        between = torch.lerp(values[self.before], values[self.after], self.share)
+        return between.masked_fill(~self.valid[:, None], torch.nan)
+
+
+def _angles(tables: Sequence[TrackTable], at: Sequence[Interpolation], name: str) -> Tensor | None:
+    """Return a column of angles (T, K) [rad], interpolated the short way round."""
+    columns = [table.get(name) for table in tables]
+    if any(column is None for column in columns) or not columns:
+        return None
+    units = [f(torch.stack([c.cos(), c.sin()], -1)) for f, c in zip(at, columns, strict=True) if c is not None]
+    return torch.stack([torch.atan2(unit[:, 1], unit[:, 0]) for unit in units], -1)
+
+
+def _column(tables: Sequence[TrackTable], at: Sequence[Interpolation], name: str) -> Tensor | None:
+    columns = [table.get(name) for table in tables]
+    if any(column is None for column in columns) or not columns:
+        return None
+    return torch.cat([f(column[:, None]) for f, column in zip(at, columns, strict=True) if column is not None], -1)
