@@ -1,12 +1,14 @@
 """The store of a study: one SQLite file, of which a killed process loses no more than what it was working on.
 
-Every finished cell is one transaction. Reading needs neither torch nor the study's files.
+Every finished cell is one transaction. Reading needs neither torch nor the study's files. The runs of a cell are one
+row a metric, with numerators and denominators as arrays: a row a run would take eight times as long to read.
 """
 
 import json
 import os
 import sqlite3
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from probtrack.errors import InputError
+from probtrack.errors import InputError, NotFiniteError
 
 FORMAT = 1
 """Of the tables below: a store says which it has."""
@@ -30,9 +32,12 @@ CREATE TABLE cell (
     id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, scene TEXT NOT NULL, settings TEXT NOT NULL,
     runs INTEGER NOT NULL, pid INTEGER, pid_since TEXT, finished REAL, seconds REAL, duration REAL, failure TEXT);
 CREATE TABLE score (
-    metric INTEGER NOT NULL, cell INTEGER NOT NULL, run INTEGER NOT NULL, numerator REAL NOT NULL, denominator REAL NOT NULL,
-    PRIMARY KEY (metric, cell, run)) WITHOUT ROWID;
+    metric INTEGER NOT NULL, cell INTEGER NOT NULL, numerator BLOB NOT NULL, denominator BLOB NOT NULL,
+    checksum INTEGER NOT NULL, PRIMARY KEY (metric, cell));
 """
+
+
+_DAMAGE = ("malformed", "not a database", "Could not decode")  # what SQLite says of a file that was changed
 
 
 class PlannedScene(NamedTuple):
@@ -177,6 +182,7 @@ class Store:
                 with db:
                     db.executescript("BEGIN;" + _TABLES)
                     meta = {"format": str(FORMAT), "created": str(time.time()), "config": json.dumps(config)}
+                    meta["cells"] = str(len(cells))  # so that a damaged file can say what is missing
                     db.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
                     db.executemany(
                         "INSERT INTO scene VALUES (?, ?, ?)",
@@ -211,7 +217,7 @@ class Store:
         """The study as plain values."""
         with self._said():
             ((text,),) = self._db.execute("SELECT value FROM meta WHERE key = 'config'")
-        content: dict[str, Any] = json.loads(text)
+            content: dict[str, Any] = json.loads(text)
         return content
 
     @property
@@ -234,8 +240,10 @@ class Store:
             "FROM cell JOIN scene ON cell.scene = scene.name ORDER BY id"
         )
         with self._said():
-            rows = self._db.execute(query).fetchall()
-        return [StoredCell(*row[:3], json.loads(row[3]), json.loads(row[4]), *row[5:]) for row in rows]
+            return [
+                StoredCell(i, key, scene, json.loads(settings), json.loads(conditions), *rest)
+                for i, key, scene, settings, conditions, *rest in self._db.execute(query)
+            ]
 
     def seeds(self, scene: str) -> list[int]:
         """Return the seeds of the runs of a scene."""
@@ -251,13 +259,18 @@ class Store:
         if metric not in self.metrics:
             raise InputError(f"{self.path}: has no metric {metric}: there are {', '.join(self.metrics)}")
         query = (
-            "SELECT cell, run, numerator, denominator FROM score WHERE metric = (SELECT id FROM metric WHERE name = ?) "
-            "ORDER BY cell, run"
+            "SELECT cell, numerator, denominator, checksum FROM score "
+            "WHERE metric = (SELECT id FROM metric WHERE name = ?) ORDER BY cell"
         )
         with self._said():
-            rows = self._db.execute(query, (metric,)).fetchall()
-        columns = np.array(rows, dtype=np.float64).reshape(-1, 4)
-        return Scores(columns[:, 0].astype(np.int64), columns[:, 1].astype(np.int64), columns[:, 2], columns[:, 3])
+            rows = [(cell, *unpacked(*row)) for cell, *row in self._db.execute(query, (metric,))]
+        runs = [len(numerator) for _, numerator, _ in rows]
+        return Scores(
+            np.repeat([cell for cell, *_ in rows], runs).astype(np.int64),
+            np.concatenate([np.arange(n) for n in runs] or [np.zeros(0, np.int64)]),
+            np.concatenate([numerator for _, numerator, _ in rows] or [np.zeros(0)]),
+            np.concatenate([denominator for *_, denominator in rows] or [np.zeros(0)]),
+        )
 
     def claim(self) -> int | None:
         """Return a cell that is to be done and that nobody works on, now this process's own; None if there is none.
@@ -274,16 +287,16 @@ class Store:
         return None
 
     def save(self, cell: int, scores: CellScores) -> None:
-        """Keep what came of a cell, in one transaction; the first of two processes that did the same is kept."""
-        metrics, runs = scores.numerator.shape
-        rows = zip(
-            np.repeat(np.arange(1, metrics + 1), runs).tolist(),
-            [cell] * scores.numerator.size,
-            np.tile(np.arange(runs), metrics).tolist(),
-            scores.numerator.ravel().tolist(),
-            scores.denominator.ravel().tolist(),
-            strict=True,
-        )
+        """Keep what came of a cell, in one transaction; the first of two processes that did the same is kept.
+
+        Raises:
+            NotFiniteError: for a score that is not finite.
+        """
+        pairs = list(zip(scores.numerator, scores.denominator, strict=True))
+        for metric, pair in zip(self.metrics, pairs, strict=True):
+            if not np.isfinite(pair).all():
+                raise NotFiniteError(f"scores of {metric} must be finite, got {pair[0]} over {pair[1]} in cell {cell}")
+        rows = [(metric, cell, *_packed(*pair)) for metric, pair in enumerate(pairs, start=1)]
         done = (time.time(), scores.seconds, scores.duration, cell)
         with self._said(), self._transaction():
             self._db.executemany("INSERT OR IGNORE INTO score VALUES (?, ?, ?, ?, ?)", rows)
@@ -347,6 +360,19 @@ def started(pid: int) -> str | None:
     return text.rpartition(")")[2].split()[19]  # clock ticks from the system's start to the process's
 
 
+def _packed(numerator: NDArray[np.float64], denominator: NDArray[np.float64]) -> tuple[bytes, bytes, int]:
+    """Return the columns of a score: both arrays, little-endian, and the checksum of their bytes."""
+    first, second = (np.ascontiguousarray(part, "<f8").tobytes() for part in (numerator, denominator))
+    return first, second, zlib.crc32(first + second)
+
+
+def unpacked(first: bytes, second: bytes, checksum: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return numerators and denominators of a score, or raise `sqlite3.DatabaseError` for bytes that have changed."""
+    if not isinstance(first, bytes) or not isinstance(second, bytes) or zlib.crc32(first + second) != checksum:
+        raise sqlite3.DatabaseError("scores are malformed")
+    return np.frombuffer(first, "<f8"), np.frombuffer(second, "<f8")
+
+
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     db = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=60, isolation_level=None)
     if mode != "ro":
@@ -360,8 +386,8 @@ def _said_of(path: Path) -> Iterator[None]:
     """Say in one line what SQLite or the disk has against it."""
     try:
         yield
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, OSError, json.JSONDecodeError) as error:
         what = str(error)
-        if isinstance(error, sqlite3.DatabaseError) and ("malformed" in what or "not a database" in what):
+        if isinstance(error, json.JSONDecodeError) or any(word in what for word in _DAMAGE):
             what = f"is damaged, or no study ({what}): probtrack study export gets out what can be read"
         raise InputError(f"{path}: {what}") from None
