@@ -16,12 +16,17 @@ def position_error(estimate: Tensor, truth: Tensor) -> Tensor:
 
 
 def root_mean_square(error: Tensor) -> Tensor:
-    r"""Return :math:`\sqrt{\frac1K \sum_k \varepsilon_k^2}` over the first axis of `error` (K, ...) (S1 eq. 7)."""
-    return error.square().mean(0).sqrt()
+    r"""Return :math:`\sqrt{\frac1K \sum_k \varepsilon_k^2}` over the first axis of `error` (K, ...) (S1 eq. 7).
+
+    Frames of NaN do not count; NaN where there is no other.
+    """
+    return error.square().nanmean(0).sqrt()
 
 
 def final_error(error: Tensor, dt: float, *, window: float = 0.5) -> Tensor:
     r"""Return the mean (...) [m] of `error` (K, ...) of the last :math:`k^* = \lceil 0.5\,\mathrm s / T \rceil` frames.
+
+    Frames of NaN do not count: the last k* others do; NaN where there are fewer.
 
     Args:
         error: Position errors [m], time first.
@@ -34,7 +39,10 @@ def final_error(error: Tensor, dt: float, *, window: float = 0.5) -> Tensor:
     frames = frames_within(window, dt)
     if len(error) < frames:
         raise InputError(f"track loss looks at the last {frames} frames ({window:g} s), got {len(error)}")
-    return error[-frames:].mean(0)
+    known = ~error.isnan()
+    after = known.flip(0).cumsum(0).flip(0)  # how many frames from here on are known
+    total = error.where(known & (after <= frames), 0.0).sum(0)
+    return (total / frames).where(after[0] >= frames, torch.nan)
 
 
 def frames_within(window: float, dt: float) -> int:
@@ -52,7 +60,7 @@ def frames_within(window: float, dt: float) -> int:
 def track_lost(error: Tensor, dt: float, *, threshold: float = 0.1, window: float = 0.5) -> Tensor:
     r"""Return :math:`\zeta = [\text{final error} > \delta]` (...) bool: whether the track is lost at the end.
 
-    Its mean over runs, in per cent, is the track loss percentage (TLP).
+    Its mean over runs, in per cent, is the track loss percentage (TLP). A run without a final error is not lost.
 
     Args:
         error: Position errors (K, ...) [m], time first.

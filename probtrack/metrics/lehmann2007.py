@@ -2,19 +2,17 @@
 
 from typing import ClassVar
 
-from torch import Tensor
-
 from probtrack._checks import as_positive
-from probtrack.errors import InputError
-from probtrack.metrics.functional import position_error
+from probtrack.metrics.functional import final_error, root_mean_square
 from probtrack.metrics.metric import Parts, TrackMetric
-from probtrack.metrics.talkers import Talkers
+from probtrack.metrics.one_talker import one_a_run, position_errors
+from probtrack.metrics.talkers import TIME_ROUNDING, Talkers
 
 
 class RootMeanSquareError(TrackMetric):
     r"""Mean over runs of :math:`\bar\varepsilon = \sqrt{\frac1K \sum_k \varepsilon_k^2}` [m], of one talker.
 
-    Frames whose truth is not known do not count.
+    Frames whose truth is not known do not count. An estimate that is missing makes the error infinite.
 
     References:
         S1 eq. (7), averaged over runs as in its Figure 6 and Table 2.
@@ -23,15 +21,15 @@ class RootMeanSquareError(TrackMetric):
     name: ClassVar[str] = "rmse"
     unit: ClassVar[str] = "m"
 
-    def parts(self, estimate: Talkers, truth: Talkers) -> Parts:
-        error = error_of_one(estimate, truth)
-        mean_square = error.square().nanmean(0)
-        known = mean_square.isfinite()
-        return Parts(mean_square.sqrt().where(known, 0.0), known.double())
+    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
+        return one_a_run(root_mean_square(position_errors(estimate, truth)))
 
 
 class TrackLoss(TrackMetric):
     r"""Share of runs whose mean error over the last :math:`k^* = \lceil 0.5\,\mathrm s / T \rceil` frames is large.
+
+    They are the last k* frames *whose truth is known*: a truth that ends before the recording is judged at its end. A
+    run with fewer has nothing to judge. A run that has no estimate at one of them is lost.
 
     Args:
         threshold: delta [m].
@@ -46,18 +44,12 @@ class TrackLoss(TrackMetric):
 
     def __init__(self, threshold: float = 0.1, window: float = 0.5) -> None:
         super().__init__()
-        self.threshold, self.window = float(as_positive(threshold, "threshold")), float(as_positive(window, "window"))
+        as_positive(threshold, "threshold")
+        as_positive(window, "window")
+        self.threshold, self.window = threshold, window
 
-    def parts(self, estimate: Talkers, truth: Talkers) -> Parts:
-        raise NotImplementedError
-
-
-def error_of_one(estimate: Talkers, truth: Talkers) -> Tensor:
-    """Return the position errors (T, *batch) [m] of one talker, NaN where the truth is not known."""
-    if truth.position is None or estimate.position is None:
-        raise InputError("position errors need positions of the estimate and of the truth")
-    talkers = truth.position.shape[-2], estimate.position.shape[-2]
-    if talkers != (1, 1):
-        raise InputError(f"a metric of one talker got {talkers[1]} tracks and {talkers[0]} true talkers")
-    axes = min(truth.position.shape[-1], estimate.position.shape[-1])
-    return position_error(estimate.position[..., 0, :axes], truth.position[..., 0, :axes])
+    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
+        # times may be rounded to a microsecond: a hair more, so that 0.5 s of frames of 1/30 s are 15 and not 16
+        dt = estimate.dt + 2 * TIME_ROUNDING
+        final = final_error(position_errors(estimate, truth), dt, window=self.window)
+        return one_a_run((final > self.threshold).to(final.dtype).where(~final.isnan(), final))

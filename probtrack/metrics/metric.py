@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
-from probtrack.errors import InputError
+from probtrack.errors import InputError, ShapeError
 from probtrack.metrics.talkers import Talkers
 
 
@@ -20,23 +20,28 @@ class Parts(NamedTuple):
     """
 
     total: Tensor
-    count: Tensor
+    count: Tensor  # type: ignore[assignment]  # the count of a tuple is of no use here
 
 
-class TrackMetric(Metric, ABC):  # type: ignore[misc]
+class TrackMetric(Metric, ABC):
     """A metric of tracks: `update` takes what is said and what is true, of one recording or a batch of runs.
 
-    States are sums, so that results of several processes add up. A metric of one's own gives `parts`.
+    States are sums, so that results of several processes add up. A metric of one's own is a class with the attributes
+    below and `judge`; callers use `parts`, which checks first.
 
     Attributes:
         name: What it is called in studies.
         unit: Of its value: "m", "rad", "s", "%" for a share, which is reported times 100, and so on.
         needs: Which columns of the truth it compares with; none for what is judged without truth.
+        wants: Which columns of the estimate it looks at.
+        one_talker: Whether it is of one track and one talker alone.
     """
 
     name: ClassVar[str]
     unit: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ("position",)
+    wants: ClassVar[tuple[str, ...]] = ("position",)
+    one_talker: ClassVar[bool] = True
     full_state_update = False
 
     total: Tensor
@@ -48,12 +53,39 @@ class TrackMetric(Metric, ABC):  # type: ignore[misc]
         self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
     @abstractmethod
+    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
+        """Return the figure of each run (*batch); both are checked, in float64 and have as many axes of batch."""
+
     def parts(self, estimate: Talkers, truth: Talkers) -> Parts:
-        """Return the figure of each run (*batch) of `estimate`, at the same times as `truth`."""
+        """Return the figure of each run (*batch) of `estimate`, whose frames are at the times of `truth`.
+
+        Raises:
+            InputError: if either lacks a column that this metric looks at, or there is more than one talker where it
+                is of one.
+            ShapeError: if the two have different numbers of frames, or batches that do not broadcast.
+        """
+        self.checked(truth)
+        lacking = [name for name in self.wants if getattr(estimate, name) is None]
+        if lacking:
+            raise InputError(f"metric {self.name} needs an estimate with {', '.join(lacking)}")
+        if self.needs and estimate.num_frames != truth.num_frames:
+            raise ShapeError(
+                f"truth must have the {estimate.num_frames} frames of the estimate, got {truth.num_frames}"
+            )
+        if self.one_talker:
+            for whose, one in (("tracks", estimate), ("true talkers", truth)):
+                if one.num_talkers > 1:
+                    raise InputError(f"metric {self.name} is of one talker, got {one.num_talkers} {whose}")
+        try:
+            batch = torch.broadcast_shapes(estimate.batch, truth.batch)
+        except RuntimeError:
+            raise ShapeError(f"truth must have the batch {estimate.batch} of the estimate, got {truth.batch}") from None
+        parts = self.judge(estimate.as_double(len(batch)), truth.as_double(len(batch)))
+        return Parts(parts.total.expand(batch), parts.count.expand(batch))
 
     def update(self, estimate: Talkers, truth: Talkers) -> None:
         """Take one more recording, or a batch of runs, into account."""
-        parts = self.parts(estimate, self.checked(truth))
+        parts = self.parts(estimate, truth)
         self.total += parts.total.sum()
         self.count += parts.count.sum()
 

@@ -9,8 +9,11 @@ from torch import Tensor
 from probtrack.track_files import TrackTable
 from probtrack.tracks import Track
 
+TIME_ROUNDING = 1.01e-6
+"""By how much two times that files round to a microsecond may differ [s]."""
+
 _LONGEST_GAP = 1.0  # s between two rows of a table over which it is interpolated
-_TIME_ROUNDING = 1.01e-6  # s by which two times that files round to a microsecond may differ
+_EVENT_AXES = (0, 2, 1, 1, 1, 3, 1, 1)  # of each column, after those of the batch
 
 
 class Talkers(NamedTuple):
@@ -45,9 +48,37 @@ class Talkers(NamedTuple):
         return self.time.shape[0]
 
     @property
+    def num_talkers(self) -> int:
+        """Number of talkers K; 0 if there are only times."""
+        one = self._shape()
+        return one[-1] if one else 0
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the batch."""
+        return self._shape()[1:-1]
+
+    @property
     def dt(self) -> float:
         """Median time between frames [s]; NaN of fewer than two."""
         return float(self.time.diff().median())
+
+    def as_double(self, num_batch_axes: int) -> "Talkers":
+        """Return all columns in float64, with axes of size 1 before those of the batch until there are that many."""
+        more = num_batch_axes - len(self.batch)
+
+        def stretched(column: Tensor) -> Tensor:
+            return column.double().reshape(column.shape[:1] + (1,) * more + column.shape[1:])
+
+        columns = (None if column is None else stretched(column) for column in self[1:])
+        return Talkers(self.time.double(), *columns)
+
+    def _shape(self) -> tuple[int, ...]:
+        """Return (T, *batch, K)."""
+        for column, events in zip(self[1:], _EVENT_AXES[1:], strict=True):
+            if column is not None:
+                return tuple(column.shape[: column.ndim - events + 1])
+        return ()
 
     def between(self, begin: float, end: float) -> "Talkers":
         """Return the frames of `begin` <= time < `end` [s]."""
@@ -56,17 +87,24 @@ class Talkers(NamedTuple):
 
     @classmethod
     def of_track(cls, track: Track) -> "Talkers":
-        """Return the one talker of `track`, with its batch (runs, recordings)."""
+        """Return the one talker of `track`, with its batch (runs, recordings).
+
+        Of a track that has no covariance, its standard deviations become a diagonal one.
+        """
+        covariance = torch.diag_embed(track.std.square()) if track.covariance is None else track.covariance
+
+        def of_one(values: Tensor | None) -> Tensor | None:
+            return None if values is None else values.double()[..., None]
+
         return cls(
             track.time.double(),
             track.position.double()[..., None, :],
-            *(
-                None if x is None else x.double()[..., None]
-                for x in (track.azimuth, track.heading, track.speech)
-            ),
-            covariance=None if track.covariance is None else track.covariance.double()[..., None, :, :],
-            std_azimuth=None if track.std_azimuth is None else track.std_azimuth.double()[..., None],
-            std_heading=None if track.std_heading is None else track.std_heading.double()[..., None],
+            of_one(track.azimuth),
+            of_one(track.heading),
+            of_one(track.speech),
+            covariance.double()[..., None, :, :],
+            of_one(track.std_azimuth),
+            of_one(track.std_heading),
         )
 
     @classmethod
@@ -82,7 +120,9 @@ class Talkers(NamedTuple):
         position, covariance = None, None
         if all(one is not None for one in positions):
             axes = min(one.shape[1] for one in positions if one is not None)
-            position = torch.stack([f(one[:, :axes]) for f, one in zip(at, positions, strict=True) if one is not None], 1)
+            position = torch.stack(
+                [f(one[:, :axes]) for f, one in zip(at, positions, strict=True) if one is not None], 1
+            )
             stds = [[table.get(f"std_{axis}") for axis in "xyz"[:axes]] for table in tables]
             if all(std is not None for row in stds for std in row):
                 spread = [f(torch.stack(row, -1)) for f, row in zip(at, stds, strict=True)]  # type: ignore[arg-type]
@@ -107,12 +147,12 @@ class Interpolation:
         after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp_max(last)
         before = (after - 1).clamp_min(0)
         # a row at the very time is the truth, whatever its neighbours
-        after = torch.where((wanted - known[before]).abs() <= _TIME_ROUNDING, before, after)
-        self.before = torch.where((wanted - known[after]).abs() <= _TIME_ROUNDING, after, before)
+        after = torch.where((wanted - known[before]).abs() <= TIME_ROUNDING, before, after)
+        self.before = torch.where((wanted - known[after]).abs() <= TIME_ROUNDING, after, before)
         self.after = after
         gap = known[self.after] - known[self.before]
-        self.share = ((wanted - known[self.before]) / gap.clamp_min(_TIME_ROUNDING))[:, None]
-        inside = (wanted >= known[0] - _TIME_ROUNDING) & (wanted <= known[-1] + _TIME_ROUNDING)
+        self.share = ((wanted - known[self.before]) / gap.clamp_min(TIME_ROUNDING))[:, None]
+        inside = (wanted >= known[0] - TIME_ROUNDING) & (wanted <= known[-1] + TIME_ROUNDING)
         self.valid = inside & (gap <= _LONGEST_GAP)
 
     def __call__(self, values: Tensor) -> Tensor:

@@ -15,10 +15,8 @@ from probtrack.metrics.functional import (
     root_mean_square,
     track_lost,
 )
+from probtrack.metrics.talkers import TIME_ROUNDING, Interpolation
 from probtrack.track_files import TrackTable
-
-_LONGEST_GAP = 1.0  # s between two rows of the truth over which it is interpolated
-_TIME_ROUNDING = 1.01e-6  # s by which two times that files round to a microsecond may differ
 
 _Figures = Callable[[Tensor, Tensor], dict[str, float | bool]]
 
@@ -59,7 +57,7 @@ def score(truth: TrackTable, track: TrackTable) -> Score:
     Raises:
         InputError: if the two share no time, or neither positions nor azimuths.
     """
-    at = _Interpolation(truth.time, track.time)
+    at = Interpolation(truth.time, track.time)
     figures: dict[str, float | bool] = {}
     frames, missing = 0, 0
     for error, covered, figures_of in _errors(truth, track, at):
@@ -73,7 +71,7 @@ def score(truth: TrackTable, track: TrackTable) -> Score:
     return Score(frames, missing, **figures)  # type: ignore[arg-type]
 
 
-def _errors(truth: TrackTable, track: TrackTable, at: "_Interpolation") -> Iterator[tuple[Tensor, Tensor, _Figures]]:
+def _errors(truth: TrackTable, track: TrackTable, at: Interpolation) -> Iterator[tuple[Tensor, Tensor, _Figures]]:
     """Yield the errors (T,) that both tables allow, where there is a truth, and what makes figures of them."""
     true_azimuth, azimuth = truth.get("azimuth"), track.get("azimuth")
     have_positions = truth.position is not None and track.position is not None
@@ -92,7 +90,7 @@ def _errors(truth: TrackTable, track: TrackTable, at: "_Interpolation") -> Itera
 def _position_figures(error: Tensor, time: Tensor) -> dict[str, float | bool]:
     figures: dict[str, float | bool] = {"rmse": float(root_mean_square(error))}
     # files round times to a microsecond: a hair more, so that 0.5 s of frames of 1/30 s are 15 and not 16
-    dt = float(time.diff().median()) + 2 * _TIME_ROUNDING if len(time) > 1 else 0.0
+    dt = float(time.diff().median()) + 2 * TIME_ROUNDING if len(time) > 1 else 0.0
     if dt > 0 and len(error) >= frames_within(0.5, dt):
         figures["final_error"], figures["lost"] = float(final_error(error, dt)), bool(track_lost(error, dt))
     return figures
@@ -104,24 +102,3 @@ def _azimuth_figures(error: Tensor, _: Tensor) -> dict[str, float | bool]:
         "azimuth_median": float(error.quantile(0.5)),
         "azimuth_max": float(error.max()),
     }
-
-
-class _Interpolation:
-    """Linear interpolation from the times `known` (K,) to `wanted` (T,); NaN outside and in long gaps."""
-
-    def __init__(self, known: Tensor, wanted: Tensor) -> None:
-        last = len(known) - 1
-        after = torch.searchsorted(known.contiguous(), wanted.contiguous()).clamp_max(last)
-        before = (after - 1).clamp_min(0)
-        # a row at the very time is the truth, whatever its neighbours
-        after = torch.where((wanted - known[before]).abs() <= _TIME_ROUNDING, before, after)
-        self.before = torch.where((wanted - known[after]).abs() <= _TIME_ROUNDING, after, before)
-        self.after = after
-        gap = known[self.after] - known[self.before]
-        self.share = ((wanted - known[self.before]) / gap.clamp_min(_TIME_ROUNDING))[:, None]
-        inside = (wanted >= known[0] - _TIME_ROUNDING) & (wanted <= known[-1] + _TIME_ROUNDING)
-        self.valid = inside & (gap <= _LONGEST_GAP)
-
-    def __call__(self, values: Tensor) -> Tensor:
-        between = torch.lerp(values[self.before], values[self.after], self.share)
-        return between.masked_fill(~self.valid[:, None], torch.nan)
