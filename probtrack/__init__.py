@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from probtrack import distributions as distributions
     from probtrack import dynamics as dynamics
     from probtrack import errors as errors
+    from probtrack import evaluation as evaluation
     from probtrack import filters as filters
     from probtrack import geometry as geometry
     from probtrack import likelihoods as likelihoods
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _ROOMS = (
-    "audio", "distributions", "dynamics", "errors", "filters", "geometry", "likelihoods",
+    "audio", "distributions", "dynamics", "errors", "evaluation", "filters", "geometry", "likelihoods",
     "metrics", "parameters", "plotting", "simulation", "switching", "track_files", "trackers", "tracks", "training",
 )  # fmt: skip
 

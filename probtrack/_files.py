@@ -37,3 +37,17 @@ def read_yaml(path: str | Path, what: str) -> Any:
         raise InputError(f"{path}: cannot read {what}: {error.strerror}") from None
     except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or a date that cannot be
         raise InputError(f"{path}: {what} is not YAML: {' '.join(str(error).split())}") from None
+
+
+def difference(there: object, here: object, name: str = "") -> str:
+    """Return the first place where two descriptions differ, in words; empty where they are the same."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in [*there, *(key for key in here if key not in there)]:
+            found = difference(there.get(key), here.get(key), f"{name}.{key}".strip("."))
+            if found:
+                return found
+        return ""
+    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        pairs = enumerate(zip(there, here, strict=True))
+        return next((found for i, (a, b) in pairs if (found := difference(a, b, f"{name}[{i}]"))), "")
+    return "" if there == here else f"{name} is {there!r} there and {here!r} here"

@@ -11,6 +11,7 @@ COMMANDS = {
     "simulate": "recordings of talkers in rooms, with their truth",
     "track": "a recording in, a talker's track out",
     "fit": "parameters of models from data",
+    "evaluate": "trackers compared over recordings and many runs",
     "score": "figures of a track against the truth",
     "plot": "a picture of tracks, or of a recording tracked",
 }

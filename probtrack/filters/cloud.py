@@ -133,7 +133,8 @@ def _covariance(weight: Tensor, deviation: Tensor) -> Tensor:
     moments = weighted_mean(weight, products.movedim(0, -1))
     place = {pair: n for n, pair in enumerate(zip(row, column, strict=True))}
     order = [place[min(i, j), max(i, j)] for i in axes for j in axes]
-    return moments[..., order].unflatten(-1, (len(axes), len(axes)))
+    covariance: Tensor = moments[..., order].unflatten(-1, (len(axes), len(axes)))
+    return covariance
 
 
 def _angle(vector: Tensor) -> Tensor:

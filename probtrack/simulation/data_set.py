@@ -22,7 +22,7 @@ import torch
 import yaml
 
 from probtrack._checks import check_int
-from probtrack._files import read_yaml
+from probtrack._files import difference, read_yaml
 from probtrack._threads import one_thread
 from probtrack.errors import InputError
 from probtrack.simulation.description import described, from_description, made_with
@@ -140,9 +140,9 @@ def check_data_set_output(data_set: DataSet, folder: Path) -> None:
     try:
         if path.exists():
             there = {"": read_yaml(path, "data set file"), "inputs": read_yaml(folder / INPUTS, "inputs file")}
-            difference = _difference(there, {"": described(data_set), "inputs": _inputs(data_set)})
-            if difference:
-                raise InputError(f"{folder}: holds another data set ({difference}): name another folder")
+            found = difference(there, {"": described(data_set), "inputs": _inputs(data_set)})
+            if found:
+                raise InputError(f"{folder}: holds another data set ({found}): name another folder")
         elif folder.exists() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty and holds no data set: name another folder")
     except OSError as error:
@@ -171,20 +171,6 @@ def _inputs(data_set: DataSet) -> dict[str, object]:
     arrays = {scene.array: scene.load_array().positions.double() for scene in data_set.scenes}
     places = {name: [[round(x, 6) for x in row] for row in rows.tolist()] for name, rows in arrays.items()}
     return {"made_with": made_with(), "arrays": places}
-
-
-def _difference(there: object, here: object, name: str = "") -> str:
-    """Return the first place where two descriptions differ, in words; empty where they are the same."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        for key in [*there, *(key for key in here if key not in there)]:
-            found = _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))
-            if found:
-                return found
-        return ""
-    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
-        pairs = enumerate(zip(there, here, strict=True))
-        return next((found for i, (a, b) in pairs if (found := _difference(a, b, f"{name}[{i}]"))), "")
-    return "" if there == here else f"{name} is {there!r} there and {here!r} here"
 
 
 def _make(data_set: DataSet, folder: Path, cache: Path | None, index: int) -> int:

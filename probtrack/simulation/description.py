@@ -53,7 +53,7 @@ def from_description(kind: type[T], content: Any, path: str | Path) -> T:
     try:
         made = parser.instantiate(parser.parse_object({"it": content}))
     except (ArgumentError, InputError, ImportError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: {_plain(str(error))}") from None
+        raise InputError(f"{path}: {in_plain_words(str(error))}") from None
     return made.it  # type: ignore[no-any-return]
 
 
@@ -75,7 +75,7 @@ def _unknown_class(found: re.Match[str]) -> str:
     return f"expected the import path of a class, got {found[1]}" + (f" (do you mean {near[0]}?)" if near else "")
 
 
-def _plain(message: str) -> str:
+def in_plain_words(message: str) -> str:
     """Say an error of jsonargparse as where it is, what is wanted and what it got, in one line."""
     line = " ".join(message.split())
     line = re.sub(r"Problem with given class_path '[\w.]*?(\w+)':", r"\1:", line)
