@@ -1,7 +1,5 @@
 """The figures of S1: root mean square error and track loss."""
 
-from typing import ClassVar
-
 from probtrack._checks import as_positive
 from probtrack.metrics.functional import final_error, root_mean_square
 from probtrack.metrics.metric import Parts, TrackMetric
@@ -18,8 +16,8 @@ class RootMeanSquareError(TrackMetric):
         S1 eq. (7), averaged over runs as in its Figure 6 and Table 2.
     """
 
-    name: ClassVar[str] = "rmse"
-    unit: ClassVar[str] = "m"
+    name = "rmse"
+    unit = "m"
 
     def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
         return one_a_run(root_mean_square(position_errors(estimate, truth)))
@@ -39,8 +37,8 @@ class TrackLoss(TrackMetric):
         S1 eq. (8), whose left side sums k* + 1 terms and divides by k* - 1: here the mean of k* frames.
     """
 
-    name: ClassVar[str] = "track_loss"
-    unit: ClassVar[str] = "%"
+    name = "track_loss"
+    unit = "%"
 
     def __init__(self, threshold: float = 0.1, window: float = 0.5) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
 """What every metric of tracks is: a ratio of sums over frames, runs and recordings."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -37,11 +37,11 @@ class TrackMetric(Metric, ABC):
         one_talker: Whether it is of one track and one talker alone.
     """
 
-    name: ClassVar[str]
-    unit: ClassVar[str] = ""
-    needs: ClassVar[tuple[str, ...]] = ("position",)
-    wants: ClassVar[tuple[str, ...]] = ("position",)
-    one_talker: ClassVar[bool] = True
+    name: str
+    unit: str = ""
+    needs: tuple[str, ...] = ("position",)
+    wants: tuple[str, ...] = ("position",)
+    one_talker: bool = True
     full_state_update = False
 
     total: Tensor

@@ -1,0 +1,180 @@
+"""The measures of the LOCATA challenge: detections, false alarms, latency, broken tracks and swaps.
+
+They look at talkers while they are active: where the truth knows them, and says speech >= 0.5 if it says so at all.
+
+References:
+    C. Evers et al., "The LOCATA challenge: acoustic source localization and tracking", IEEE/ACM Transactions on Audio,
+    Speech, and Language Processing 28, 2020, section on measures. The scripts released with it differ at three places,
+    where we keep to the definitions: an exchange of two talkers is two swaps (they see none), the wait for the first
+    detection is latency and no break (they count both), and a track of a talker who is silent is no false alarm,
+    whether or not another one talks (they ask that).
+"""
+
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from probtrack.errors import InputError
+from probtrack.metrics.association import OfSets, associate
+from probtrack.metrics.metric import Parts
+from probtrack.metrics.talkers import Talkers
+
+_GATES = {"position": 0.5, "azimuth": torch.pi / 6}  # m; the 30 degrees of LOCATA
+
+
+def detected(track: Tensor, active: Tensor) -> Tensor:
+    """Return whether each talker is active and has a track (T, ..., K)."""
+    return active & (track >= 0)
+
+
+def first_detections(track: Tensor, active: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where (T, ..., K) a talker has a track for the first time in a period of activity, and where again.
+
+    Args:
+        track: Which track belongs to each talker (T, ..., K), -1 for none.
+        active: Whether each talks (T, ..., K).
+    """
+    hit = detected(track, active)
+    hits = hit.cumsum(0)
+    # hits before the period began: never falls, so that its running maximum is that of the last onset
+    before = (hits - hit.long()).where(_onsets(active), 0).cummax(0).values
+    return hit & (hits - before == 1), hit & (hits - before > 1)
+
+
+def latencies(track: Tensor, active: Tensor, time: Tensor) -> Tensor:
+    """Return from the onset of a period of activity to its first detection [s] (T, ..., K), NaN at other frames."""
+    at = time.reshape(-1, *(1,) * (active.ndim - 1))
+    onset = at.where(_onsets(active), -torch.inf).cummax(0).values
+    return (at - onset).where(first_detections(track, active)[0], torch.nan)
+
+
+def fragments(track: Tensor, active: Tensor) -> Tensor:
+    """Return where (T, ..., K) a talker is detected again in a period, after a miss or by another track than before."""
+    again = first_detections(track, active)[1]
+    previous = torch.cat([torch.full_like(track[:1], -1), track[:-1]])
+    return again & (track != previous)
+
+
+def swaps(track: Tensor, active: Tensor) -> Tensor:
+    """Return where (T, ..., K) an active talker's track is another than the last one it had, however long ago."""
+    hit = detected(track, active)
+    frame = torch.arange(len(track), device=track.device).reshape(-1, *(1,) * (track.ndim - 1))
+    last = frame.where(hit, -1).cummax(0).values
+    last = torch.cat([torch.full_like(last[:1], -1), last[:-1]])
+    return hit & (last >= 0) & (track != track.gather(0, last.clamp_min(0)))
+
+
+class _Associated(OfSets, ABC):
+    """A metric of tracks that are paired with talkers frame by frame."""
+
+    def __init__(self, gate: float | None = None, by: Literal["position", "azimuth"] = "position") -> None:
+        super().__init__(_GATES.get(by, 1.0) if gate is None else gate, by)
+
+    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
+        if estimate.num_frames < 2:
+            raise InputError(f"metric {self.name} needs two frames or more, got {estimate.num_frames}")
+        there = self.present(truth)
+        active = there if truth.speech is None else there & (truth.speech >= 0.5)
+        distance = self.distance(estimate, truth)
+        active = active.expand(distance.shape[:-1])
+        return self.judge_pairs(associate(distance, self.limit, active), active, estimate)
+
+    @abstractmethod
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
+        """Return the figure of each run, of the `track` (T, *batch, K) of each talker and whether each is `active`."""
+
+
+class DetectionRate(_Associated):
+    """Share of frames of active talkers in which they have a track within the gate.
+
+    Args:
+        gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
+        by: What is compared: positions, or azimuths alone.
+    """
+
+    name = "detection_rate"
+    unit = "%"
+
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:  # noqa: ARG002
+        return _rate(detected(track, active), active, 1.0)
+
+
+class FalseAlarmRate(_Associated):
+    """Tracks that belong to nobody, per second of the recording: every one counts in every frame.
+
+    A track of a talker who is silent is not one of them. Where the truth knows nobody, every track is.
+
+    Args:
+        gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
+        by: What is compared: positions, or azimuths alone.
+    """
+
+    name = "false_alarm_rate"
+    unit = "1/s"
+
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:  # noqa: ARG002
+        alarms = self.present(estimate).sum(-1) - (track >= 0).sum(-1)
+        seconds = torch.full(track.shape[1:-1], estimate.num_frames * estimate.dt, dtype=torch.float64)
+        return Parts(alarms.double().sum(0), seconds.to(track.device))
+
+
+class Latency(_Associated):
+    """Mean time from the onset of a period of activity to its first detection [s].
+
+    Periods without any detection do not count: they show in `DetectionRate`.
+
+    Args:
+        gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
+        by: What is compared: positions, or azimuths alone.
+    """
+
+    name = "latency"
+    unit = "s"
+
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
+        late = latencies(track, active, estimate.time)
+        known = ~late.isnan()
+        return Parts(late.where(known, 0.0).sum((0, -1)), known.double().sum((0, -1)))
+
+
+class FragmentationRate(_Associated):
+    """Breaks per second of a talker's activity: detected again after a miss, or by another track, within a period.
+
+    Args:
+        gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
+        by: What is compared: positions, or azimuths alone.
+    """
+
+    name = "fragmentation_rate"
+    unit = "1/s"
+
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
+        return _rate(fragments(track, active), active, estimate.dt)
+
+
+class SwapRate(_Associated):
+    """Swaps per second of a talker's activity: a talker's track is another than the last one it had.
+
+    Two talkers whose tracks change places are two swaps, one of each; a silence between does not hide them.
+
+    Args:
+        gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
+        by: What is compared: positions, or azimuths alone.
+    """
+
+    name = "swap_rate"
+    unit = "1/s"
+
+    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
+        return _rate(swaps(track, active), active, estimate.dt)
+
+
+def _onsets(active: Tensor) -> Tensor:
+    return active & ~torch.cat([torch.zeros_like(active[:1]), active[:-1]])
+
+
+def _rate(events: Tensor, active: Tensor, dt: float) -> Parts:
+    """Return how many events of talkers there are, and for how long these are active (*batch)."""
+    return Parts(events.double().sum((0, -1)), active.double().sum((0, -1)) * dt)
