@@ -1,0 +1,189 @@
+"""Tables of studies in words: for a terminal, as Markdown, and as plain values."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from probtrack.evaluation.factors import heading, label, text
+from probtrack.evaluation.grouping import Numbers
+from probtrack.evaluation.tables import StudyTable
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_NONE = "-"
+_PART = "*"  # marks what is not finished
+
+
+def as_markdown(table: StudyTable) -> str:
+    """Return a table as Markdown, with what must be known of it below."""
+    lines = [_markdown_line(_headings(table, range(len(table.columns)), ", "))]
+    left = len(_row_names(table)) + 1
+    lines.append("|" + "---|" * left + "---:|" * len(table.columns))
+    for row in range(len(table.rows)):
+        lines += [_markdown_line(line) for line in _lines(table, row, range(len(table.columns)))]
+    return "\n".join([*lines, "", *(f"- {note}" for note in notes(table))])
+
+
+def rich_tables(table: StudyTable, width: int | None) -> list["Table"]:
+    """Return a table for the terminal, in several below each other if `width` characters do not hold all columns.
+
+    Where columns are parted, those of the same first factor stay together if they can, as in Table 2 of S1.
+    """
+    from rich.table import Table
+    from rich.text import Text  # plain: brackets are intervals and units, not markup
+
+    pieces = []
+    for columns in _fitting(table, width):
+        piece = Table()
+        left = len(_row_names(table)) + 1
+        for i, words in enumerate(_headings(table, columns, "\n")):
+            piece.add_column(Text(words), justify="left" if i < left else "right", no_wrap=i >= left)
+        for row in range(len(table.rows)):
+            for line in _lines(table, row, columns):
+                piece.add_row(*map(Text, line))
+            piece.add_section()
+        pieces.append(piece)
+    return pieces
+
+
+def as_dict(table: StudyTable) -> dict[str, Any]:
+    """Return a table as plain values: one group for each row and column, None where there is no figure."""
+
+    def figures(i: int, c: int) -> dict[str, Any]:
+        parts = zip(table.metrics.items(), table.value[i, c], table.low[i, c], table.high[i, c], strict=True)
+        return {
+            name: {"value": _number(value), "low": _number(low), "high": _number(high), "unit": unit}
+            for (name, unit), value, low, high in parts
+        }
+
+    groups = [
+        {
+            **row,
+            **column,
+            "scenes": int(table.scenes[i, c]),
+            "runs": int(table.runs[i, c]),
+            "planned": int(table.planned[i, c]),
+            "metrics": figures(i, c),
+        }
+        for i, row in enumerate(table.rows)
+        for c, column in enumerate(table.columns)
+    ]
+    return {
+        "study": str(table.path),
+        **table.progress._asdict(),
+        "level": table.level,
+        "over": table.over,
+        "fixed": table.fixed,
+        "averaged": table.averaged,
+        "groups": groups,
+    }
+
+
+def notes(table: StudyTable) -> list[str]:
+    """Return what must be known of a table, a line each."""
+    said = [f"{table.path}: {table.progress}"]
+    if table.fixed:
+        said.append(f"everywhere: {', '.join(label(name, value) for name, value in table.fixed.items())}")
+    for name, values in table.averaged.items():
+        said.append(f"averaged over {heading(name)}: {', '.join(map(text, values))}")
+    there = table.runs > 0
+    said.append(f"a figure is of {_between(table.scenes[there], 'scene')}, {_between(table.runs[there], 'run')}")
+    if _partial(table).any():
+        said.append(f"{_PART} some of its runs are not finished")
+    if np.isfinite(table.low).any():
+        said.append(f"[low, high]: {interval_words(table.level, table.over)}")
+    if table.over == "scenes" and table.scenes[there].min() == 1:
+        said.append("of one scene there is no interval over scenes, but one over runs")
+    return said
+
+
+def interval_words(level: float, over: str) -> str:
+    """Return what an interval is."""
+    drawn = "scenes drawn anew, and runs within them" if over == "scenes" else "runs drawn anew, of the same scenes"
+    return f"{100 * level:g} % bootstrap interval, {drawn}"
+
+
+def decimals(values: Numbers, unit: str) -> int:
+    """Return how many decimals the figures of a metric want: as S1 has them, more where small ones would vanish.
+
+    >>> decimals(np.array([0.063, 0.359]), "m"), decimals(np.array([0.0, 88.7]), "%"), decimals(np.array([12.3]), "")
+    (3, 1, 1)
+    """
+    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+    if unit == "%" or not sizes.size:
+        return 1
+    most = 3 if unit in ("m", "rad") else 2 - math.floor(math.log10(sizes.max()))
+    return int(np.clip(max(most, 1 - math.floor(math.log10(np.median(sizes)))), 0, 6))
+
+
+def named(metric: str, unit: str) -> str:
+    """Return a metric with its unit."""
+    return f"{metric} [{unit}]" if unit else metric
+
+
+def _lines(table: StudyTable, row: int, columns: Sequence[int]) -> Iterator[list[str]]:
+    """Yield a line for each metric of a row, the first with the row's factors."""
+    labels = [text(table.rows[row][name]) for name in _row_names(table)]
+    for j, (metric, unit) in enumerate(table.metrics.items()):
+        cells = [_cell(table, row, column, j) for column in columns]
+        yield [*(labels if j == 0 else [""] * len(labels)), named(metric, unit), *cells]
+
+
+def _cell(table: StudyTable, row: int, column: int, j: int) -> str:
+    value, low, high = (float(part[row, column, j]) for part in (table.value, table.low, table.high))
+    if not math.isfinite(value):
+        return _NONE
+    digits = decimals(table.value[:, :, j], list(table.metrics.values())[j])
+    part = _PART if _partial(table)[row, column] else ""
+    interval = f" [{low:.{digits}f}, {high:.{digits}f}]" if math.isfinite(low) else ""
+    return f"{value:.{digits}f}{part}{interval}"
+
+
+def _headings(table: StudyTable, columns: Sequence[int], between: str) -> list[str]:
+    above = [between.join(label(*factor) for factor in table.columns[column].items()) or "all" for column in columns]
+    return [*(heading(name) for name in _row_names(table)), "metric", *above]
+
+
+def _row_names(table: StudyTable) -> list[str]:
+    return list(table.rows[0])
+
+
+def _fitting(table: StudyTable, width: int | None) -> list[list[int]]:
+    """Return the columns of each of the tables that fit below each other."""
+    everything = list(range(len(table.columns)))
+    headings = _headings(table, everything, "\n")
+    lines = [line for row in range(len(table.rows)) for line in _lines(table, row, everything)]
+    wide = [
+        max(len(part) for words in column for part in words.split("\n")) + 3
+        for column in zip(headings, *lines, strict=True)
+    ]
+    left = len(headings) - len(everything)
+    room = (width or 10**9) - sum(wide[:left]) - 1
+    many = max(1, room // max(wide[left:]))
+    if many >= len(everything):
+        return [everything]
+    first = [next(iter(column.values()), None) for column in table.columns]
+    together = first.count(first[0])
+    many -= many % together if many > together else 0
+    return [everything[i : i + many] for i in range(0, len(everything), many)]
+
+
+def _partial(table: StudyTable) -> Any:
+    return table.runs < table.planned
+
+
+def _between(counts: Any, what: str) -> str:
+    low, high = int(counts.min()), int(counts.max())
+    several = "" if high == 1 else "s"
+    return f"{low} {what}{several}" if low == high else f"{low} to {high} {what}{several}"
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _markdown_line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,160 @@
+"""What can still be read of a damaged store, row by row."""
+
+import json
+import sqlite3
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from probtrack.errors import InputError
+from probtrack.evaluation.store import FORMAT, Scores, Store, StoredCell, unpacked
+
+_UNREADABLE = (sqlite3.Error, ValueError)  # pages, and what is in them: JSON, text
+_CELL = "id, key, scene, settings, runs, finished, seconds, duration, failure"
+
+
+class Runs(NamedTuple):
+    """All runs of a study that can be read.
+
+    Attributes:
+        cells: Finished cells.
+        metrics: Units of the metrics by name.
+        scores: Of these cells, by metric.
+        seeds: Of the runs by scene; no entry where they cannot be read.
+        warning: What cannot be read, in one line; None where all is well.
+    """
+
+    cells: list[StoredCell]
+    metrics: dict[str, str]
+    scores: dict[str, Scores]
+    seeds: dict[str, list[int]]
+    warning: str | None = None
+
+
+def runs_of(store: Store) -> Runs:
+    """Return all runs of a store that is whole, finished or not."""
+    cells = {cell.id: cell for cell in store.cells if cell.finished is not None}
+    metrics = store.metrics
+    scores = {name: _only(store.scores(name), list(cells)) for name in metrics}
+    scenes = dict.fromkeys(cell.scene for cell in cells.values())
+    return Runs(list(cells.values()), metrics, scores, {scene: store.seeds(scene) for scene in scenes})
+
+
+def salvage(path: str | Path) -> Runs:
+    """Return the runs of those cells of a damaged store that are whole, with a warning that says what is not.
+
+    Raises:
+        InputError: for a file of which nothing can be read: no study, or one whose first pages are damaged.
+    """
+    with closing(_opened(Path(path))) as db:
+        try:
+            meta = dict(db.execute("SELECT key, value FROM meta").fetchall())
+            metrics = dict(db.execute("SELECT name, unit FROM metric ORDER BY id").fetchall())
+            known = int(meta["cells"]) if meta["format"] == str(FORMAT) else None
+        except (sqlite3.Error, KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: nothing can be read of it: {error}") from None
+        if known is None:
+            raise InputError(f"{path}: a study of format {meta['format']}, this version reads format {FORMAT}")
+        scenes = _Scenes(db)
+        cells = [cell for i in range(1, known + 1) if (cell := _cell(db, i, scenes)) is not None]
+        parts = _parts(db, known * len(metrics))
+        finished = [cell for cell in cells if cell.finished is not None]
+        whole = [cell for cell in finished if all((m, cell.id) in parts for m in range(1, len(metrics) + 1))]
+        seeds = {cell.scene: scenes.seeds(cell.scene) for cell in whole}
+    lost = [
+        f"{count} {what}"
+        for count, what in (
+            (len(finished) - len(whole), "whose scores are damaged"),
+            (known - len(cells), "of which it is not known what they are"),
+        )
+        if count
+    ]
+    warning = (
+        f"{path} is damaged: got {len(whole)} of {known} cells, {sum(cell.runs for cell in whole)} runs; "
+        f"left behind are {' and '.join(lost) or 'none that were finished'}"
+    )
+    scores = {name: _scores(parts, whole, metric) for metric, name in enumerate(metrics, start=1)}
+    return Runs(whole, metrics, scores, {name: some for name, some in seeds.items() if some}, warning)
+
+
+class _Scenes:
+    """Conditions and seeds of recordings, read once; empty where they cannot be."""
+
+    def __init__(self, db: sqlite3.Connection) -> None:
+        self._db = db
+        self._conditions: dict[str, dict[str, Any]] = {}
+
+    def conditions(self, name: str) -> dict[str, Any]:
+        if name not in self._conditions:
+            row = _row(self._db, "SELECT conditions FROM scene WHERE name = ?", (name,))
+            self._conditions[name] = (_mapping(row[0]) if row else None) or {}
+        return self._conditions[name]
+
+    def seeds(self, name: str) -> list[int]:
+        with suppress(*_UNREADABLE):
+            return [s for (s,) in self._db.execute("SELECT seed FROM seed WHERE scene = ? ORDER BY run", (name,))]
+        return []
+
+
+def _cell(db: sqlite3.Connection, number: int, scenes: _Scenes) -> StoredCell | None:
+    row = _row(db, f"SELECT {_CELL} FROM cell WHERE id = ?", (number,))
+    settings = _mapping(row[3]) if row else None
+    if row is None or settings is None or not (isinstance(row[2], str) and isinstance(row[4], int)):
+        return None
+    number, key, scene, _, *rest = row
+    return StoredCell(number, key, scene, settings, scenes.conditions(scene), *rest)
+
+
+def _parts(db: sqlite3.Connection, most: int) -> dict[tuple[int, int], Any]:
+    """Return numerators and denominators by metric and cell, not found by the index, which may be damaged."""
+    found = {}
+    for number in range(1, most + 1):
+        row = _row(db, "SELECT metric, cell, numerator, denominator, checksum FROM score WHERE rowid = ?", (number,))
+        if row is not None:
+            with suppress(*_UNREADABLE):
+                found[row[:2]] = unpacked(*row)
+    return found
+
+
+def _scores(parts: dict[tuple[int, int], Any], cells: list[StoredCell], metric: int) -> Scores:
+    pairs = [parts[metric, cell.id] for cell in cells]
+    runs = [len(numerator) for numerator, _ in pairs]
+    empty = [np.zeros(0)]
+    return Scores(
+        np.repeat([cell.id for cell in cells], runs).astype(np.int64),
+        np.concatenate([np.arange(n) for n in runs] or [np.zeros(0, np.int64)]),
+        np.concatenate([numerator for numerator, _ in pairs] or empty),
+        np.concatenate([denominator for _, denominator in pairs] or empty),
+    )
+
+
+def _only(scores: Scores, cells: list[int]) -> Scores:
+    known = np.isin(scores.cell, cells)  # without those that another process has finished since
+    return Scores(scores.cell[known], scores.run[known], scores.numerator[known], scores.denominator[known])
+
+
+def _row(db: sqlite3.Connection, query: str, values: tuple[Any, ...]) -> Any:
+    with suppress(*_UNREADABLE):
+        return db.execute(query, values).fetchone()
+    return None
+
+
+def _mapping(text: object) -> dict[str, Any] | None:
+    with suppress(*_UNREADABLE):
+        content = json.loads(text) if isinstance(text, str) else None
+        return content if isinstance(content, dict) else None
+    return None
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    if not path.is_file():
+        raise InputError(f"{path}: no such study")
+    try:
+        db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=60, isolation_level=None)
+        db.execute("PRAGMA writable_schema = ON")  # a file that was cut off is otherwise refused as a whole
+        db.execute("PRAGMA cell_size_check = ON")
+    except sqlite3.Error as error:
+        raise InputError(f"{path}: nothing can be read of it: {error}") from None
+    return db
