@@ -36,11 +36,12 @@ def best_pairs(gain: Tensor) -> Tensor:
         pairs = torch.full((*batch, rows + 1), -1, device=gain.device)
         order = torch.arange(columns, device=gain.device).expand(row.shape)
         return pairs.scatter(-1, row.where(row >= 0, rows), order)[..., :rows]
+    if rows == 0:
+        return torch.zeros(*batch, 0, dtype=torch.long, device=gain.device)
     if math.perm(columns, rows) > _MOST_MAPS:
-        raise InputError(f"at most 8 talkers can be paired with 8 tracks, got {rows} and {columns}")
+        raise InputError(f"at most 8 talkers can be paired with 8 tracks, got {rows} with {columns}")
     gain = gain.nan_to_num(nan=0.0).clamp_min(0.0).reshape(math.prod(batch), rows * columns)
     ways = torch.tensor(list(itertools.permutations(range(columns), rows)), device=gain.device)
-    ways = ways.reshape(-1, rows)  # (ways, K): of no rows there is one way
     cells = torch.arange(rows, device=gain.device) * columns + ways
     made = torch.zeros(len(ways), rows * columns, dtype=gain.dtype, device=gain.device).scatter(1, cells, 1.0)
     best = torch.cat([(some @ made.mT).argmax(-1) for some in gain.split(max(1, _AT_ONCE // len(ways)))])

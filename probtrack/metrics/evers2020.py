@@ -6,8 +6,8 @@ References:
     C. Evers et al., "The LOCATA challenge: acoustic source localization and tracking", IEEE/ACM Transactions on Audio,
     Speech, and Language Processing 28, 2020, section on measures. The scripts released with it differ at three places,
     where we keep to the definitions: an exchange of two talkers is two swaps (they see none), the wait for the first
-    detection is latency and no break (they count both), and a track of a talker who is silent is no false alarm,
-    whether or not another one talks (they ask that).
+    detection is latency and no break (they count it as both), and a track of a talker who is silent is no false alarm
+    (to them it is one while nobody else talks).
 """
 
 from abc import ABC, abstractmethod

@@ -49,7 +49,8 @@ def ospa_as_released(
     """
     present = there[..., :, None] & said[..., None, :]
     _check(order, cutoff)
-    nearest = distance.where(present, torch.inf).flatten(-2).amin(-1).clamp_max(cutoff) ** order
+    nearest = distance.where(present, cutoff).clamp_max(cutoff).flatten(-2)
+    nearest = torch.nn.functional.pad(nearest, (0, 1), value=cutoff).amin(-1) ** order
     talkers, tracks = there.sum(-1), said.sum(-1)
     pair = nearest.where((talkers > 0) & (tracks > 0), 0.0)
     cost = pair + cutoff**order * (talkers - tracks).abs()
