@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.pairs import markdown
 
-NAMES = ("tracking", "steered_power", "filter", "training_step", "dynamics", "memory", "startup")
+NAMES = ("tracking", "steered_power", "filter", "training_step", "dynamics", "memory", "study_cell", "startup")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,84 +1,86 @@
-"""Does the tracker hold a real talker, whatever the seed? The AV16.3 recording, six models, many seeds.
+"""Does the tracker hold a real talker, whatever the seed? The AV16.3 recording, all models, 50 seeds: a study.
 
-python -m experiments.av163 --num_particles 500
-python -m experiments.av163 --num_particles 75 --keep_out 0
+python -m experiments.av163 --workers 2
+python -m experiments.av163 --num_particles '[75]' --keep_out '[0.0]'
 
-There is no truth for this recording: what can be asked is whether azimuth runs smoothly while the talker speaks,
-whether the cloud stays spread before, and whether seeds agree within the spread that each of them states.
+There is no truth for this recording: what can be asked is whether azimuth runs smoothly while the talker speaks, how
+many frames are locked, and whether seeds agree within the spread that each of them states.
 """
 
-import json
 import os
-from dataclasses import asdict, dataclass
+import shutil
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import torch
+from typing import Any, get_args
 
 from experiments.command import run
-from probtrack.audio import Recording
-from probtrack.geometry import MicrophoneArray, Region, shipped_arrays, wrap_angle
-from probtrack.trackers import lehmann2007
-from probtrack.trackers.lehmann2007 import Model
+from experiments.monte_carlo import done, trackers
+from probtrack.dynamics import Lehmann2007Model
+from probtrack.errors import InputError
+from probtrack.evaluation import Scenes, Store, StudyFile
+from probtrack.evaluation.rendering import as_markdown
+from probtrack.evaluation.tables import StudyTable, tabulate
+from probtrack.geometry import shipped_arrays
+from probtrack.trackers.lehmann2007 import Model, learned_models
 
-MODELS: tuple[Model, ...] = ("CU-LAN", "CU-LAN-ORIG", "CU-RWVE", "CU-TCVE", "CU-TCAC", "CL-RWVE-RAAC")  # of S1 Table 2
-FIRST_WORD, LAST_WORD, LOCKED = 5.6, 29.5, 6.1  # s; half a second after the first word the track must be locked
+RECORDING = "recordings/seq11-1p-0100_array1_8ch.flac"
+SPEAKING = {"begin": 6.1, "end": 29.5}  # s: from half a second after the first word, when a track must be locked
+NAMES = (
+    "azimuth_jumps", "largest_jump", "locked", "azimuth_spread", "azimuth_disagreement", "position_spread",
+    "position_disagreement",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Config:
-    """Track the recording with each model of S1's Table 2 and many seeds."""
+    """Track the recording with each model and many seeds, beginning anywhere."""
 
     data_dir: Path = Path(os.environ.get("PROBTRACK_DATA", "../shared/data"))
+    models: tuple[Model, ...] = get_args(Lehmann2007Model)
+    learned: bool = True  # the models that have learned parameters with these too
+    num_particles: tuple[int, ...] = (75, 500)
+    keep_out: tuple[float, ...] = (0.2,)  # m
     runs: int = 50
-    num_particles: int = 500
-    keep_out: float = 0.2  # m
-    models: tuple[Model, ...] = MODELS
-    parameters: str = "printed"  # or learned, or a file
+    workers: int = 2
+    quick: bool = False  # two models, 75 particles, 4 runs
+    out: Path = Path("build/av163")  # folder of the scene and of the store
 
 
-def main(config: Config) -> dict[str, Any]:
-    """Print and return figures of each model, angles in degrees and lengths in metres."""
-    torch.set_num_threads(1)
-    samples = Recording.open(config.data_dir / "recordings/seq11-1p-0100_array1_8ch.flac").read()
-    result: dict[str, Any] = {model: run_model(model, samples, config) for model in config.models}
-    print(json.dumps({"config": {**asdict(config), "data_dir": config.data_dir.name}, "result": result}))
-    return result
-
-
-@torch.inference_mode()
-def run_model(model: Model, samples: torch.Tensor, config: Config) -> dict[str, float]:
-    """Track with all seeds at once."""
-    path = shipped_arrays()["av16.3-array1"]
-    region = Region.from_yaml(path)
-    assert region is not None  # the shipped file has one
-    tracker = lehmann2007(
-        MicrophoneArray.from_yaml(path),
-        region,
-        model,
-        parameters=config.parameters,
-        num_particles=config.num_particles,
-        keep_out=config.keep_out,
+def main(config: Config) -> StudyTable:
+    """Do the study, print it and return its table."""
+    models = config.models[:2] if config.quick else config.models
+    compared = trackers(models) | (trackers_learned(models) if config.learned else {})
+    for choice in compared.values():
+        del choice["init_args"]["num_particles"]
+    file = StudyFile(
+        scenes=[Scenes(str(scene(config).resolve()))],
+        trackers=compared,
+        vary={"num_particles": [75] if config.quick else [*config.num_particles], "keep_out": [*config.keep_out]},
+        metrics=[{"class_path": name, "init_args": SPEAKING} for name in NAMES],
+        runs=4 if config.quick else config.runs,
+        start="anywhere",
     )
-    track = tracker(samples, torch.arange(config.runs))
-    assert track.azimuth is not None  # the tracker knows the array's centre
-    assert track.std_azimuth is not None
-    before = track.time < FIRST_WORD - 0.1
-    speaking = (track.time > LOCKED) & (track.time < LAST_WORD)
-    azimuth, position = track.azimuth[speaking], track.position[speaking]
-    jumps = wrap_angle(azimuth.diff(dim=0)).abs().rad2deg().amax(0)
-    resultant = torch.stack([azimuth.cos(), azimuth.sin()], -1).mean(1).norm(dim=-1)
-    figures = {
-        "seeds_with_a_jump_over_15": float((jumps > 15).sum()),
-        "largest_jump_median": float(jumps.median()),
-        "largest_jump_worst": float(jumps.max()),
-        "smallest_std_before_the_first_word": float(track.std[before].min()),
-        "azimuth_std_of_a_run": float(track.std_azimuth[speaking].square().mean().sqrt().rad2deg()),
-        "azimuth_std_between_runs": float((-2 * resultant.log()).clamp_min(0).sqrt().mean().rad2deg()),
-        "position_std_of_a_run": float(track.std[speaking].square().sum(-1).mean().sqrt()),
-        "position_std_between_runs": float(position.var(1).sum(-1).mean().sqrt()),
-    }
-    return {name: round(value, 2) for name, value in figures.items()}
+    with Store(done(file, config.out / f"study{'-quick' if config.quick else ''}.sqlite", config.workers)) as store:
+        table = tabulate(store, rows=["num_particles", "keep_out", "tracker"], over="runs")
+    print(as_markdown(table))
+    return table
+
+
+def scene(config: Config) -> Path:
+    """Return the scene folder of the recording, made if it is not there."""
+    audio, folder = config.data_dir / RECORDING, config.out / "seq11-1p-0100"
+    if not audio.is_file():
+        raise InputError(f"{audio}: no such recording: --data_dir, or PROBTRACK_DATA, names the folder that holds it")
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(audio, folder / "audio.flac")
+    shutil.copyfile(shipped_arrays()["av16.3-array1"], folder / "array.yaml")
+    return folder
+
+
+def trackers_learned(models: tuple[Model, ...]) -> dict[str, Any]:
+    """Return the trackers with learned parameters, of the models that have some."""
+    chosen = trackers([model for model in models if model in learned_models()], parameters="learned")
+    return {f"{model}, learned": choice for model, choice in chosen.items()}
 
 
 if __name__ == "__main__":
