@@ -5,13 +5,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jsonargparse import ArgumentParser
 
 from probtrack._files import check_suffix
 from probtrack.cli import flags
 from probtrack.errors import InputError
-from probtrack.evaluation import Progress, evaluate, load_study
+
+if TYPE_CHECKING:
+    from probtrack.evaluation import Progress
 
 _EVERY = 10.0  # s between two lines of progress where there is no terminal
 
@@ -38,6 +41,8 @@ def run(argv: Sequence[str]) -> int:
     check_suffix(out, "a store", (".sqlite",))
     if not out.absolute().parent.is_dir():
         raise InputError(f"{out}: there is no folder {out.absolute().parent}")
+    from probtrack.evaluation import evaluate, load_study  # torch and the metrics: not for --help
+
     study = load_study(args.config)
     if args.new and out.exists():
         flags.warn("evaluate", f"the store that was there is now {put_aside(out)}")
@@ -50,26 +55,44 @@ def run(argv: Sequence[str]) -> int:
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a store, with what SQLite keeps beside it, to the first free name with a number."""
+    """Rename a store, with what SQLite keeps beside it, to the first free name with a number.
+
+    Raises:
+        InputError: if a process is at work on it, or it cannot be renamed.
+    """
+    from probtrack.evaluation.database import BESIDE
+
+    _check_idle(path)
     number = next(n for n in range(1, 10**6) if not path.with_name(f"{path.stem}.{n}{path.suffix}").exists())
     other = path.with_name(f"{path.stem}.{number}{path.suffix}")
     path.rename(other)
-    for end in ("-wal", "-shm"):
+    for end in BESIDE:
         beside = path.with_name(path.name + end)
         if beside.exists():
             beside.rename(other.with_name(other.name + end))
     return other
 
 
-def said(progress: Progress) -> str:
+def _check_idle(path: Path) -> None:
+    from probtrack.evaluation import Store
+
+    try:
+        with Store(path) as store:
+            at_work = store.workers
+    except InputError:
+        return  # damaged, or of another version: nobody can be at work on it
+    if at_work:
+        raise InputError(f"{path}: process {at_work[0]} is at work on it: --new needs it to end first")
+
+
+def said(progress: "Progress") -> str:
     """Return how far a study is, in words."""
     words = [f"{progress.done} of {progress.cells} cells"]
-    if progress.here:
-        words[0] += f", {progress.here} now in {_time(progress.seconds)}"
+    if progress.done > progress.before:
+        words[0] += f", {progress.done - progress.before} now in {_time(progress.seconds)}"
     if progress.failed:
         words.append(f"{progress.failed} failed")
-    elsewhere = progress.cells - progress.done - progress.failed
-    if progress.left and elsewhere:
+    if progress.left:
         words.append(f"{_time(progress.left)} left")
     if progress.denominator:
         value = progress.numerator / progress.denominator
@@ -81,11 +104,14 @@ def said(progress: Progress) -> str:
 
 def _time(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[Progress], None]]:
+def _progress() -> Iterator[Callable[["Progress"], None]]:
     """Give what shows how far a study is: a bar on a terminal, otherwise a line now and then."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn
@@ -99,7 +125,7 @@ def _progress() -> Iterator[Callable[[Progress], None]]:
     with bar:
         task = bar.add_task("")
 
-        def show(progress: Progress) -> None:
+        def show(progress: "Progress") -> None:
             nonlocal last
             bar.update(
                 task, total=progress.cells, completed=progress.done + progress.failed, description=said(progress)

@@ -7,13 +7,15 @@ import sys
 from argparse import ArgumentError
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import docstring_parser
 from jsonargparse import ArgumentParser, Namespace
 
 from probtrack.errors import InputError
-from probtrack.geometry import Region, shipped_arrays
+
+if TYPE_CHECKING:
+    from probtrack.geometry import Region
 
 _SPELLINGS = {"three_d": "--3d"}  # a parameter's name cannot begin with a digit, a flag can
 _TAKES_COORDINATES = ("--start", "--region")
@@ -82,6 +84,8 @@ def warn(command: str, message: str) -> None:
 
 def array_path(value: str) -> Path:
     """Return the array file that a user means: a path, or the name of one that ships with probtrack."""
+    from probtrack.geometry import shipped_arrays  # loads torch, which some commands do without
+
     return shipped_arrays().get(value, Path(value))
 
 
@@ -96,8 +100,10 @@ def point(value: str, flag: str) -> tuple[float, ...]:
     return numbers
 
 
-def region(value: str) -> Region:
+def region(value: str) -> "Region":
     """Return 'x,y:x,y' or 'x,y,z:x,y,z' (low and high corner) as a region [m]."""
+    from probtrack.geometry import Region
+
     corners = value.split(":")
     if len(corners) != 2:
         raise InputError(f"--region must be LOW:HIGH, two corners such as 0,0:3.5,3.1, got {value!r}")

@@ -15,10 +15,11 @@ from probtrack.errors import InputError, NotFiniteError
 from probtrack.evaluation.store import CellScores
 from probtrack.metrics import Parts, Talkers, TrackMetric
 from probtrack.simulation import SceneFolder
+from probtrack.simulation.description import made_with
 from probtrack.trackers import Tracker
-from probtrack.tracks import Track
 
 _AT_ONCE = 2**19  # particles of all runs that are worked on together: about a gigabyte
+_FRAMES = 2**22  # frames of all runs that are judged together: about half a gigabyte
 
 
 @dataclass(frozen=True)
@@ -52,56 +53,75 @@ class Cell:
         """Return the figures of all runs.
 
         Raises:
-            InputError: for files that cannot be used, or a track that is not finite, in one line that names the cell.
+            InputError: for files that cannot be used, or too many runs for the memory.
+            NotFiniteError: for a track or a figure that is not finite, with the seed of the first such run.
         """
         begin = time.thread_time()
         with one_thread():
-            try:
-                parts, duration = self._parts()
-            except InputError as error:
-                raise InputError(f"{self.key}: {error}") from None
-        numerator, denominator = (
-            np.array([np.broadcast_to(one[i].double().numpy(), len(self.seeds)) for one in parts]) for i in (0, 1)
+            folder = SceneFolder(self.folder)
+            tracker = self.make_tracker(folder.array, folder.region, **self.arguments)
+            samples = folder.open_recording(tracker.fs).read()
+            truth = folder.truth
+            start = None
+            if self.start:
+                assert truth is not None  # the plan has looked
+                position = truth[0].position
+                assert position is not None
+                start = position[0, : tracker.region.axes].to(torch.get_default_dtype())
+            estimate = self._estimate(tracker, samples, start)
+            true = Talkers(estimate.time) if truth is None else Talkers.of_tables(truth, estimate.time)
+            shared = Talkers(true.time, *(None if column is None else column[:, None] for column in true[1:]))
+            parts = [self._checked(metric.parts(estimate, shared), metric.name) for metric in self.metrics]
+        return CellScores(
+            np.stack([one.total.numpy() for one in parts]),
+            np.stack([one.count.numpy() for one in parts]),
+            time.thread_time() - begin,
+            samples.shape[-1] / tracker.fs,
         )
-        return CellScores(numerator, denominator, time.thread_time() - begin, duration)
 
-    def _parts(self) -> tuple[list[Parts], float]:
-        folder = SceneFolder(self.folder)
-        tracker = self.make_tracker(folder.array, folder.region, **self.arguments)
-        samples = folder.open_recording(tracker.fs).read()
-        tables = folder.truth
-        start = None
-        if self.start:
-            assert tables is not None  # the plan has looked
-            position = tables[0].position
-            assert position is not None
-            start = position[0, : tracker.region.axes].float()
-        track = self._track(tracker, samples, start)
-        truth = Talkers(track.time) if tables is None else Talkers.of_tables(tables, track.time)
-        estimate = Talkers.of_track(track)
-        shared = Talkers(truth.time, *(None if x is None else x.unsqueeze(1) for x in truth[1:]))  # by all runs
-        parts = [metric.parts(estimate, metric.checked(shared)) for metric in self.metrics]
-        return parts, samples.shape[-1] / tracker.fs
-
-    def _track(self, tracker: Tracker, samples: Tensor, start: Tensor | None) -> Track:
-        """Return the track of all runs; many large clouds are worked on one after the other, for the memory."""
-        seeds = torch.tensor(self.seeds)
+    def _estimate(self, tracker: Tracker, samples: Tensor, start: Tensor | None) -> Talkers:
+        """Return what the tracker says in each run; many large clouds are worked on in turn, for the memory."""
+        frames = round(samples.shape[-1] / (tracker.dt * tracker.fs))
+        most = max(1, _FRAMES // max(1, frames))
+        if len(self.seeds) > most:
+            raise InputError(
+                f"runs must be at most {most} for a recording of {frames} frames, got {len(self.seeds)}: "
+                "several studies, each with its own seed, hold more"
+            )
         some = max(1, _AT_ONCE // tracker.filter.num_particles)
-        track = side_by_side([tracker(samples, part, start) for part in seeds.split(some)])
-        bad = ~track.position.isfinite().all(-1)
+        pieces = []
+        for seeds in torch.tensor(self.seeds).split(some):
+            track = tracker(samples, seeds, start)
+            bad = ~track.position.isfinite().all(-1)
+            if bad.any():
+                frame, run = bad.nonzero()[0].tolist()
+                when, seed = f"{track.time[frame]:.3f} s", seeds[run]
+                raise NotFiniteError(f"the track is not finite at {when} in the run of seed {seed}")
+            pieces.append(Talkers.of_track(track))
+        return side_by_side(pieces)
+
+    def _checked(self, parts: Parts, name: str) -> Parts:
+        """Return `parts` (R,) of a metric, or raise `NotFiniteError` naming the first run that has none."""
+        bad = ~(parts.total.isfinite() & parts.count.isfinite())
         if bad.any():
-            frame, run = bad.nonzero()[0].tolist()
-            when = f"{track.time[frame]:.3f} s"
-            raise NotFiniteError(f"the track is not finite at {when} in the run of seed {self.seeds[run]}")
-        return track
+            run = int(bad.nonzero()[0])
+            value = f"{parts.total[run]:g} over {parts.count[run]:g}"
+            raise NotFiniteError(f"{name} is not finite, {value}, in the run of seed {self.seeds[run]}")
+        return parts
 
 
-def side_by_side(tracks: Sequence[Track]) -> Track:
-    """Return tracks of several runs each, at the same times, as one."""
+def versions() -> dict[str, str]:
+    """Return the versions that the numbers of a cell depend on."""
+    return {name: version for name, version in made_with().items() if name in ("probtrack", "torch")}
 
-    def joined(*pieces: Tensor | None) -> Tensor | None:
-        present = [piece for piece in pieces if piece is not None]
+
+def side_by_side(pieces: Sequence[Talkers]) -> Talkers:
+    """Return several batches of runs (T, runs, ...) at the same times as one."""
+    if len(pieces) == 1:
+        return pieces[0]
+
+    def joined(*columns: Tensor | None) -> Tensor | None:
+        present = [column for column in columns if column is not None]
         return torch.cat(present, 1) if present else None
 
-    columns = (joined(*column) for column in zip(*(one[1:] for one in tracks), strict=True))
-    return Track(tracks[0].time, *columns)  # type: ignore[arg-type]
+    return Talkers(pieces[0].time, *(joined(*column) for column in zip(*(one[1:] for one in pieces), strict=True)))

@@ -1,14 +1,16 @@
-"""Who works on the cells of a study: this process, several of this machine, or a Dask cluster."""
+"""Who works on the cells of a study: this process, or several of this machine."""
 
 import os
 import signal
 import threading
-import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -26,19 +28,17 @@ class Finished(NamedTuple):
 
     Attributes:
         id: Its number.
-        scores: What came of it; None if it failed.
-        failure: What went wrong, in one line.
+        outcome: What came of it; or what went wrong, in one line.
     """
 
     id: int
-    scores: CellScores | None
-    failure: str | None = None
+    outcome: CellScores | str
 
 
 def in_this_process(claims: Claims) -> Iterator[Finished]:
     """Yield cells as they are finished, one after the other."""
     for number, cell in claims:
-        yield _finished(number, attempt(cell))
+        yield Finished(number, attempt(cell))
 
 
 def in_processes(claims: Claims, workers: int) -> Iterator[Finished]:
@@ -47,61 +47,59 @@ def in_processes(claims: Claims, workers: int) -> Iterator[Finished]:
     Raises:
         InputError: if a worker is killed, perhaps for want of memory.
     """
-    begin = (torch.get_default_dtype(),)
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_become_worker, initargs=begin) as pool:
-        try:
-            pending: dict[Future[CellScores | str], int] = {}
-            while True:
-                for number, cell in islice(claims, workers - len(pending)):
-                    pending[pool.submit(attempt, cell)] = number
-                if not pending:
-                    return
-                for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                    yield _finished(pending.pop(future), future.result())
-        except BrokenProcessPool:
-            raise InputError(
-                "a worker was killed, perhaps for want of memory: start again, with fewer --workers, to go on"
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def on_cluster(claims: Claims, scheduler: str) -> Iterator[Finished]:
-    """Yield cells as the workers of the Dask scheduler at the address `scheduler` finish them.
-
-    Workers need probtrack, and the recordings under the same paths. A cell of a worker that dies goes to another.
-
-    Raises:
-        InputError: if nobody answers at the address within some seconds, there is no worker, or the scheduler ends.
-    """
-    raise NotImplementedError
+    context = get_context("spawn")
+    end, lifeline = context.Pipe(duplex=False)  # workers end with it: when it is closed here, and when we are killed
+    pool = ProcessPoolExecutor(workers, context, _become_worker, (torch.get_default_dtype(), end))
+    try:
+        pending: dict[Future[CellScores | str], int] = {}
+        while True:
+            for number, cell in islice(claims, workers - len(pending)):
+                pending[pool.submit(attempt, cell)] = number
+            if not pending:
+                return
+            done = wait(pending, return_when=FIRST_COMPLETED).done
+            for future in sorted(done, key=lambda one: one.exception() is not None):  # finished cells are kept first
+                yield Finished(pending.pop(future), future.result())
+    except BrokenProcessPool:
+        raise InputError(
+            "a worker was killed, perhaps for want of memory: start again, with fewer --workers, to go on"
+        ) from None
+    finally:
+        lifeline.close()
+        pool.shutdown(cancel_futures=True)
+        end.close()
 
 
 def attempt(cell: Cell) -> CellScores | str:
-    """Return what comes of a cell, or in one line what a user must know of why nothing does."""
+    """Return what comes of a cell, or in one line why nothing does: the other cells go on."""
     try:
         return cell.scores()
     except (InputError, OSError) as error:
-        return " ".join(str(error).split())
+        what = str(error)
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "allocate memory" not in str(error):
-            raise  # a defect of ours: its traceback is wanted
-        return f"{cell.key}: not enough memory for {len(cell.seeds)} runs at once"
+            what = _defect(error)
+        else:
+            what = f"not enough memory for {len(cell.seeds)} runs"
+    except Exception as error:
+        what = _defect(error)
+    return " ".join(f"{cell.key}: {what}".split())
 
 
-def _finished(number: int, outcome: CellScores | str) -> Finished:
-    return Finished(number, None, outcome) if isinstance(outcome, str) else Finished(number, outcome)
+def _defect(error: Exception) -> str:
+    """Say what no user's mistake explains, such as a slip in a tracker of one's own, and where it is."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
 
 
-def _become_worker(dtype: torch.dtype) -> None:
+def _become_worker(dtype: torch.dtype, lifeline: Connection) -> None:
     torch.set_default_dtype(dtype)  # a fresh process has torch's own
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to deal with
-    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
 
-def _end_with_parent(parent: int) -> None:
-    """End this process once its parent was killed: it would work on unseen, beside a run that goes on."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
+def _end_with(lifeline: Connection) -> None:
+    """End this process at once when `lifeline` does: what it works on is nobody's any more."""
+    lifeline.poll(None)
     os._exit(1)

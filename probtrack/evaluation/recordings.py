@@ -1,14 +1,14 @@
 """Recordings of a study: scene folders, found and looked at before any work."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from probtrack._files import read_yaml
 from probtrack.errors import InputError
-from probtrack.metrics import Talkers
+from probtrack.metrics import Talkers, TrackMetric
 from probtrack.simulation import SceneFolder
 from probtrack.simulation.data_set import CONFIGURATION, load_data_set, missing_scenes
 from probtrack.simulation.scene_folder import ARRAY, SCENE, TRUTH
@@ -111,3 +111,21 @@ def _simulated_conditions(path: Path) -> dict[str, Value]:
     inner = room.get("init_args") if isinstance(room, dict) else None
     known = {"snr_db": content.get("snr_db"), "t60": inner.get("t60") if isinstance(inner, dict) else None}
     return {name: value for name, value in known.items() if value is not None}
+
+
+def check_truth(one: Recording, judged: Sequence[TrackMetric], start: str) -> None:
+    """Raise `InputError` unless the truth of a recording has what metrics and the start need."""
+    truth = one.truth
+    if start == "truth":
+        position = None if truth is None or truth.num_talkers != 1 else truth.position
+        if position is None or not position[0].isfinite().all():
+            raise InputError(
+                f"{one.folder}: start: truth needs one talker in truth.csv, with a position in its first row; "
+                "start: anywhere does without"
+            )
+    for metric in judged:
+        lacking = [name for name in metric.needs if truth is None or getattr(truth, name) is None]
+        if lacking:
+            raise InputError(f"{one.folder}: metric {metric.name} needs truth.csv with {', '.join(lacking)}")
+        if metric.needs and metric.one_talker and truth is not None and truth.num_talkers > 1:
+            raise InputError(f"{one.folder}: metric {metric.name} is of one talker, truth.csv has {truth.num_talkers}")

@@ -2,13 +2,15 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from probtrack._checks import check_int
 from probtrack._files import difference
 from probtrack.errors import InputError
-from probtrack.evaluation.execution import Claims, Finished, in_processes, in_this_process, on_cluster
+from probtrack.evaluation.cluster import on_cluster
+from probtrack.evaluation.execution import Claims, Finished, in_processes, in_this_process
 from probtrack.evaluation.store import Store
 from probtrack.evaluation.study import Study
 
@@ -19,21 +21,21 @@ class Progress:
 
     Attributes:
         cells: All cells.
-        done: How many are finished.
+        done: How many are finished, by whatever process.
         failed: How many could not be done.
-        here: How many of the finished ones this call did.
+        before: How many were finished when this call began.
         seconds: How long it has worked [s].
         metric: Name of the first metric.
         unit: Its unit.
-        numerator: Sum of its numerators over all finished runs.
+        numerator: Sum of its numerators over the runs that were finished before or by this call.
         denominator: Sum of its denominators.
-        failure: What went wrong first, if anything did.
+        failure: What went wrong first in this call, if anything did.
     """
 
     cells: int
     done: int
     failed: int
-    here: int
+    before: int
     seconds: float
     metric: str
     unit: str
@@ -43,8 +45,9 @@ class Progress:
 
     @property
     def left(self) -> float | None:
-        """How long the rest will take at the pace so far [s]; None before there is one."""
-        return self.seconds / self.here * (self.cells - self.done - self.failed) if self.here else None
+        """How long the rest will take at the pace so far of all who work on it [s]; None before there is one."""
+        here = self.done - self.before
+        return self.seconds / here * (self.cells - self.done - self.failed) if here else None
 
 
 def evaluate(
@@ -57,8 +60,8 @@ def evaluate(
 ) -> Progress:
     """Do what is not yet done of a study in the store at `path`, and return how far it is then.
 
-    A store that is there is gone on with. The numbers do not depend on who does the work, or on how often it was
-    stopped.
+    A store that is there is gone on with; cells that failed are tried again, and those that another process works on
+    are left to it. The numbers do not depend on who does the work, or on how often it was stopped.
 
     Args:
         study: What is to be done.
@@ -75,19 +78,27 @@ def evaluate(
     with open_store(study, path) as store:
         store.retry()
         cells = {stored.id: cell for stored, cell in zip(store.cells, study.cells, strict=True)}
+        progress = _begin(study, store)
+        on_progress(progress)
+        claimed: set[int] = set()
 
         def claims() -> Claims:
             while (number := store.claim()) is not None:
+                claimed.add(number)
                 yield number, cells[number]
 
-        progress = _begin(study, store)
-        on_progress(progress)
         begin = time.monotonic()
-        for one in _worked_on(claims(), workers, scheduler):
-            progress = replace(_kept(store, one, progress), seconds=time.monotonic() - begin)
-            on_progress(progress)
-        done = sum(cell.finished is not None for cell in store.cells)  # by other processes too
-        return replace(progress, done=done)
+        try:
+            for one in _worked_on(claims(), workers, scheduler):
+                progress = _kept(store, one, progress)
+                claimed.discard(one.id)
+                done, failed = store.progress  # by other processes too
+                progress = replace(progress, done=done, failed=failed, seconds=time.monotonic() - begin)
+                on_progress(progress)
+        finally:
+            with suppress(InputError):  # what is wrong with the disk has been said
+                store.release(claimed)
+        return progress
 
 
 def open_store(study: Study, path: str | Path) -> Store:
@@ -100,13 +111,26 @@ def open_store(study: Study, path: str | Path) -> Store:
         units = [(metric.name, metric.unit) for metric in study.metrics]
         Store.create(path, study.config, study.scenes, units, study.planned).close()
     store = Store(path, write=True)
-    there = {"": store.config, "scenes": store.fingerprints}
-    here = {"": study.config, "scenes": {scene.name: scene.fingerprint for scene in study.scenes}}
-    found = difference(there, here)
+    try:
+        found = _difference(study, store)
+    except BaseException:
+        store.close()
+        raise
     if found:
         store.close()
         raise InputError(f"{path}: holds another study: {found}; another name, or --new, begins anew")
     return store
+
+
+def _difference(study: Study, store: Store) -> str:
+    """Return the first difference between a study and what a store holds, in words; empty if there is none."""
+    conditions = {cell.scene: cell.conditions for cell in store.cells}
+    there = {"config": store.config, "recordings": conditions}
+    here = {"config": study.config, "recordings": {scene.name: scene.conditions for scene in study.scenes}}
+    found = difference(there, here)
+    fingerprints = store.fingerprints
+    changed = next((one.name for one in study.scenes if one.fingerprint != fingerprints.get(one.name)), None)
+    return found or (f"the files of recording {changed} are others now" if changed is not None else "")
 
 
 def _worked_on(claims: Claims, workers: int, scheduler: str | None) -> Iterator[Finished]:
@@ -118,22 +142,19 @@ def _worked_on(claims: Claims, workers: int, scheduler: str | None) -> Iterator[
 def _begin(study: Study, store: Store) -> Progress:
     first = study.metrics[0]
     scores = store.scores(first.name)
-    done = sum(cell.finished is not None for cell in store.cells)
+    done, failed = store.progress
     sums = float(scores.numerator.sum()), float(scores.denominator.sum())
-    return Progress(len(study.cells), done, 0, 0, 0.0, first.name, first.unit, *sums)
+    return Progress(len(study.cells), done, failed, done, 0.0, first.name, first.unit, *sums)
 
 
 def _kept(store: Store, one: Finished, progress: Progress) -> Progress:
-    """Keep a cell, and return how far the study is with it."""
-    if one.scores is None:
-        assert one.failure is not None
-        store.give_up(one.id, one.failure)
-        return replace(progress, failed=progress.failed + 1, failure=progress.failure or one.failure)
-    store.save(one.id, one.scores)
+    """Keep a cell, and return the progress with its figures."""
+    if isinstance(one.outcome, str):
+        store.give_up(one.id, one.outcome)
+        return replace(progress, failure=progress.failure or one.outcome)
+    store.save(one.id, one.outcome)
     return replace(
         progress,
-        done=progress.done + 1,
-        here=progress.here + 1,
-        numerator=progress.numerator + float(one.scores.numerator[0].sum()),
-        denominator=progress.denominator + float(one.scores.denominator[0].sum()),
+        numerator=progress.numerator + float(one.outcome.numerator[0].sum()),
+        denominator=progress.denominator + float(one.outcome.denominator[0].sum()),
     )

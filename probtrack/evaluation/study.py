@@ -17,9 +17,10 @@ from probtrack import metrics, trackers
 from probtrack._checks import check_int
 from probtrack._files import read_yaml
 from probtrack.errors import InputError
-from probtrack.evaluation.cell import Cell
-from probtrack.evaluation.recordings import Recording, Scenes, Value, recordings
+from probtrack.evaluation.cell import Cell, versions
+from probtrack.evaluation.recordings import Recording, Scenes, Value, check_truth, recordings
 from probtrack.evaluation.store import PlannedCell, PlannedScene
+from probtrack.simulation import SceneFolder
 from probtrack.simulation.description import from_description, in_plain_words
 from probtrack.trackers import Tracker
 
@@ -128,11 +129,12 @@ def plan(file: StudyFile, base: Path) -> Study:
     if not found:
         raise InputError("scenes must name at least one folder")
     for one in found:
-        _check_truth(one, judged, file.start)
+        check_truth(one, judged, file.start)
     inputs: dict[str, str] = {}
     made = [tracker for name in file.trackers for tracker in _trackers(name, file, base, inputs)]
     if not made:
         raise InputError(f"trackers must hold at least one, such as one of {', '.join(TRACKERS)}")
+    _check_made(made, found[0])
     seeds = {one.name: tuple(_seed(file.seed, one.name, run) for run in range(file.runs)) for one in found}
     cells = tuple(
         Cell(
@@ -150,7 +152,8 @@ def plan(file: StudyFile, base: Path) -> Study:
         for settings, make, arguments in made
     )
     scenes = tuple(PlannedScene(one.name, one.fingerprint(), one.conditions, seeds[one.name]) for one in found)
-    config = {name: value for name, value in asdict(file).items() if name != "scenes"} | {"files": inputs}
+    config = {name: value for name, value in asdict(file).items() if name != "scenes"}
+    config |= {"files": inputs, "made_with": versions()}
     return Study(json.loads(json.dumps(config)), scenes, judged, cells)
 
 
@@ -166,7 +169,7 @@ def _metric(entry: Any) -> metrics.TrackMetric:
         raise InputError(f"metrics: {choice.class_path} is no TrackMetric")
     metric = from_description(kind, choice.init_args, f"metrics: {choice.class_path}")
     if choice.name is not None:
-        metric.name = choice.name  # type: ignore[misc]
+        metric.name = choice.name
     return metric
 
 
@@ -182,6 +185,7 @@ def _trackers(
             raise InputError(f"{where}: {varied} is varied, so init_args cannot say it too")
         if not values:
             raise InputError(f"vary: {varied} must be a list of values, at least one")
+        _check_different([str(value) for value in values], f"vary: {varied}")
     for combination in itertools.product(*file.vary.values()):
         settings = dict(zip(file.vary, combination, strict=True))
         given = {key: _file(value, base, inputs) for key, value in {**choice.init_args, **settings}.items()}
@@ -201,9 +205,14 @@ def _imported(path: str, where: str, known: list[str]) -> Any:
 
 def _arguments(make: Callable[..., Tracker], given: Settings, where: str) -> Settings:
     """Return the arguments `given` as `make` takes them, checked against its signature."""
+    parameters = inspect.signature(make).parameters
+    names = list(parameters)[2:]  # after the array and the region
+    unknown = next((name for name in given if name not in names), None)
+    if unknown is not None and all(one.kind is not one.VAR_KEYWORD for one in parameters.values()):
+        raise InputError(f"{where}: has no setting {unknown}: there are {', '.join(names) or 'none'}")
     parser = ArgumentParser(exit_on_error=False, default_env=False)
     try:
-        skip: set[str | int] = {*list(inspect.signature(make).parameters)[:2]}  # the array and the region
+        skip: set[str | int] = {*list(parameters)[:2]}
         add = parser.add_class_arguments if inspect.isclass(make) else parser.add_function_arguments
         add(make, "it", skip=skip)
         taken = parser.instantiate(parser.parse_object({"it": given})).it
@@ -220,21 +229,22 @@ def _file(value: Any, base: Path, inputs: dict[str, str]) -> Any:
     return value
 
 
-def _check_truth(one: Recording, judged: tuple[metrics.TrackMetric, ...], start: str) -> None:
-    if start == "truth" and (one.truth is None or one.truth.position is None or one.truth.position.shape[-2] != 1):
-        raise InputError(
-            f"{one.folder}: start: truth needs the positions of one talker in truth.csv; or start: anywhere"
-        )
-    for metric in judged:
-        lacking = [name for name in metric.needs if one.truth is None or getattr(one.truth, name) is None]
-        if lacking:
-            raise InputError(f"{one.folder}: metric {metric.name} needs truth.csv with {', '.join(lacking)}")
+def _check_made(made: list[tuple[Settings, Callable[..., Tracker], Settings]], one: Recording) -> None:
+    """Raise `InputError` for settings of which no tracker can be made, before hours of work and not after."""
+    folder = SceneFolder(one.folder)
+    for settings, make, arguments in made:
+        try:
+            tracker = make(folder.array, folder.region, **arguments)
+        except InputError as error:
+            raise InputError(f"trackers: {_key(settings)}: {error}") from None
+        if not isinstance(tracker, Tracker):
+            raise InputError(f"trackers: {_key(settings)}: must make a Tracker, made a {type(tracker).__name__}")
 
 
 def _check_different(names: list[str], what: str) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"{what}: two are called {twice}: give one a name of its own")
+        raise InputError(f"{what}: must differ, got {twice} twice")
 
 
 def _key(settings: Settings) -> str:
