@@ -19,12 +19,9 @@ _PART = "*"  # marks what is not finished
 
 def as_markdown(table: StudyTable) -> str:
     """Return a table as Markdown, with what must be known of it below."""
-    lines = [_markdown_line(_headings(table, range(len(table.columns)), ", "))]
-    left = len(_row_names(table)) + 1
-    lines.append("|" + "---|" * left + "---:|" * len(table.columns))
-    for row in range(len(table.rows)):
-        lines += [_markdown_line(line) for line in _lines(table, row, range(len(table.columns)))]
-    return "\n".join([*lines, "", *(f"- {note}" for note in notes(table))])
+    everything = range(len(table.columns))
+    lines = [line for row in range(len(table.rows)) for line in _lines(table, row, everything)]
+    return markdown(_headings(table, everything, ", "), lines, len(_row_names(table)) + 1, notes(table))
 
 
 def rich_tables(table: StudyTable, width: int | None) -> list["Table"]:
@@ -32,21 +29,33 @@ def rich_tables(table: StudyTable, width: int | None) -> list["Table"]:
 
     Where columns are parted, those of the same first factor stay together if they can, as in Table 2 of S1.
     """
+    pieces = []
+    for columns in _fitting(table, width):
+        sections = [list(_lines(table, row, columns)) for row in range(len(table.rows))]
+        pieces.append(rich_table(_headings(table, columns, "\n"), sections, len(_row_names(table)) + 1))
+    return pieces
+
+
+def rich_table(headings: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], left: int) -> "Table":
+    """Return lines in sections as a table for the terminal; the first `left` columns are names, the others figures."""
     from rich.table import Table
     from rich.text import Text  # plain: brackets are intervals and units, not markup
 
-    pieces = []
-    for columns in _fitting(table, width):
-        piece = Table()
-        left = len(_row_names(table)) + 1
-        for i, words in enumerate(_headings(table, columns, "\n")):
-            piece.add_column(Text(words), justify="left" if i < left else "right", no_wrap=i >= left)
-        for row in range(len(table.rows)):
-            for line in _lines(table, row, columns):
-                piece.add_row(*map(Text, line))
-            piece.add_section()
-        pieces.append(piece)
-    return pieces
+    table = Table()
+    for i, words in enumerate(headings):
+        table.add_column(Text(words), justify="left" if i < left else "right", no_wrap=i >= left)
+    for lines in sections:
+        for line in lines:
+            table.add_row(*map(Text, line))
+        table.add_section()
+    return table
+
+
+def markdown(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int, below: Sequence[str]) -> str:
+    """Return lines as a Markdown table with notes below; the first `left` columns are names, the others figures."""
+    rule = "|" + "---|" * left + "---:|" * (len(headings) - left)
+    table = [_markdown_line(headings), rule, *map(_markdown_line, lines)]
+    return "\n".join([*table, "", *(f"- {note}" for note in below)])
 
 
 def as_dict(table: StudyTable) -> dict[str, Any]:
@@ -55,7 +64,7 @@ def as_dict(table: StudyTable) -> dict[str, Any]:
     def figures(i: int, c: int) -> dict[str, Any]:
         parts = zip(table.metrics.items(), table.value[i, c], table.low[i, c], table.high[i, c], strict=True)
         return {
-            name: {"value": _number(value), "low": _number(low), "high": _number(high), "unit": unit}
+            name: {"value": number(value), "low": number(low), "high": number(high), "unit": unit}
             for (name, unit), value, low, high in parts
         }
 
@@ -181,7 +190,8 @@ def _between(counts: Any, what: str) -> str:
     return f"{low} {what}{several}" if low == high else f"{low} to {high} {what}{several}"
 
 
-def _number(value: float) -> float | None:
+def number(value: float) -> float | None:
+    """Return a figure, None where there is none."""
     return float(value) if math.isfinite(value) else None
 
 
