@@ -180,9 +180,11 @@ def _resampled(there: NDArray[np.bool_], over: Over, replicates: int, rng: np.ra
 
 def _layouts(there: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     """Yield which groups have the same runs, and these (S, R)."""
-    layouts, which = np.unique(there.reshape(len(there), -1), axis=0, return_inverse=True)
-    for i, layout in enumerate(layouts):
-        yield np.flatnonzero(which.ravel() == i), layout.reshape(there.shape[1:])
+    members: dict[bytes, list[int]] = {}
+    for i, layout in enumerate(there):
+        members.setdefault(layout.tobytes(), []).append(i)
+    for alike in members.values():
+        yield np.array(alike), there[alike[0]]
 
 
 def _quantiles(values: Array, level: float) -> tuple[Array, Array]:
@@ -196,7 +198,7 @@ def _quantiles(values: Array, level: float) -> tuple[Array, Array]:
 
 def _checked(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
     one, other = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if one.shape != other.shape or one.ndim < 2:
+    if one.shape != other.shape or one.ndim < 2 or 0 in one.shape[-2:]:
         raise ShapeError(f"both must have one shape (..., scenes, runs), got {one.shape} and {other.shape}")
     if np.isinf(one).any() or np.isinf(other).any():
         raise NotFiniteError("values must be finite, or NaN where there is no run, got an infinite one")
