@@ -26,21 +26,16 @@ class Factors(NamedTuple):
     conditions: tuple[str, ...]
 
     @classmethod
-    def of(cls, cells: Iterable[StoredCell]) -> "Factors":
+    def of(cls, cells: Sequence[StoredCell]) -> "Factors":
         """Return all factors of `cells`, in the order of the study."""
-        settings: dict[str, None] = {}
-        conditions: dict[str, None] = {}
-        for cell in cells:
-            settings |= dict.fromkeys(cell.settings)
-            conditions |= dict.fromkeys(cell.conditions)
-        return cls(tuple(settings), tuple(conditions))
+        names = (dict.fromkeys(name for one in part for name in one) for part in _parts(cells))
+        return cls(*map(tuple, names))
 
     @classmethod
     def varied(cls, cells: Sequence[StoredCell]) -> "Factors":
         """Return those factors of which `cells` have more than one value."""
-        values = [values_of(cell) for cell in cells]
-        every = cls.of(cells)
-        return cls(*(tuple(n for n in names if len({one.get(n) for one in values}) > 1) for names in every))
+        pairs = zip(cls.of(cells), _parts(cells), strict=True)
+        return cls(*(tuple(n for n in names if len({one.get(n) for one in part}) > 1) for names, part in pairs))
 
     def known(self, name: str, where: str) -> str:
         """Return `name`, or raise `InputError` that lists the factors there are."""
@@ -123,6 +118,13 @@ def chosen(cells: Sequence[StoredCell], wanted: Sequence[str], where: str) -> tu
         cells = [cell for cell in cells if _is(values_of(cell).get(name), value)]
         pairs[name] = value
     return list(cells), pairs
+
+
+def _parts(cells: Sequence[StoredCell]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return settings and conditions without those that several cells share as one object, which are most."""
+    settings = {id(cell.settings): cell.settings for cell in cells}
+    conditions = {id(cell.conditions): cell.conditions for cell in cells}
+    return list(settings.values()), list(conditions.values())
 
 
 def _is(value: object, written: str) -> bool:

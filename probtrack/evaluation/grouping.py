@@ -32,8 +32,7 @@ class Groups:
 
     def __init__(self, cells: Sequence[StoredCell], rows: Sequence[str], columns: Sequence[str]) -> None:
         values = [values_of(cell) for cell in cells]
-        self.rows, row = _combinations(values, rows)
-        self.columns, column = _combinations(values, columns)
+        (self.rows, row), (self.columns, column) = (_combinations(values, names) for names in (rows, columns))
         self._group = row * len(self.columns) + column
         self._id = np.array([cell.id for cell in cells])  # in order
         self._scene = np.unique([cell.scene for cell in cells], return_inverse=True)[1]
@@ -57,25 +56,28 @@ class Groups:
     def arrays(self, scores: Scores, over: Over) -> tuple[Numbers, Numbers]:
         """Return numerators and denominators (G, S, R), NaN where a group has less than others.
 
-        Of S are recordings; with `over="runs"` it is cells, since what was put together is not to be mixed.
+        S are recordings; with `over="runs"` it is cells, since what was put together is not to be mixed.
         """
-        of_run = np.searchsorted(self._id, scores.cell)
-        known = self._done[of_run]  # a cell that another process has finished since does not count yet
-        of_run = of_run[known]
-        unit = self._scene if over == "scenes" else np.arange(len(self._scene))
-        # runs in the order of group, unit, and cell within it; the place of each in its group and unit follows
-        order = np.lexsort((of_run, unit[of_run], self._group[of_run]))
-        group, within = self._group[of_run][order], unit[of_run][order]
-        begins = np.ones(len(order), dtype=bool)
-        begins[1:] = (np.diff(group) != 0) | (np.diff(within) != 0)
-        block = np.cumsum(begins) - 1
-        run = np.arange(len(order)) - np.flatnonzero(begins)[block]
-        first = np.searchsorted(group[begins], group[begins])  # number of the first block of its group
-        place = (np.arange(len(first)) - first)[block]
-        size = (self.planned.size, *(int(n.max(initial=-1)) + 1 for n in (place, run)))
+        cells, begins, runs = np.unique(scores.cell, return_index=True, return_counts=True)
+        cell = np.searchsorted(self._id, cells)
+        known = self._done[cell]  # one that another process has finished since does not count yet
+        cell, begins, runs = cell[known], begins[known], runs[known]
+        unit = self._scene[cell] if over == "scenes" else cell
+        order = np.lexsort((cell, unit, self._group[cell]))
+        group, unit, runs, begins = self._group[cell][order], unit[order], runs[order], begins[order]
+        # blocks of one group and unit, the place of each in its group, and of each cell's first run in its block
+        new = np.append(True, (np.diff(group) != 0) | (np.diff(unit) != 0))[: len(group)]
+        block = np.cumsum(new) - 1
+        place = (np.arange(new.sum()) - np.searchsorted(group[new], group[new]))[block]
+        before = np.cumsum(runs) - runs
+        first = before - before[new][block]
+        size = (self.planned.size, int(place.max(initial=-1)) + 1, int((first + runs).max(initial=0)))
+        within = np.arange(runs.sum()) - np.repeat(before, runs)
+        to = np.repeat(np.ravel_multi_index((group, place, first), size) if len(group) else group, runs) + within
+        taken = np.repeat(begins, runs) + within
         total, count = np.full(size, np.nan), np.full(size, np.nan)
-        total[group, place, run] = scores.numerator[known][order]
-        count[group, place, run] = scores.denominator[known][order]
+        total.flat[to] = scores.numerator[taken]
+        count.flat[to] = scores.denominator[taken]
         return total, count
 
     def _sums(self, of_cells: NDArray[Any]) -> NDArray[Any]:

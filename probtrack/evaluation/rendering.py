@@ -100,7 +100,7 @@ def notes(table: StudyTable) -> list[str]:
         said.append(f"averaged over {heading(name)}: {', '.join(map(text, values))}")
     there = table.runs > 0
     said.append(f"a figure is of {_between(table.scenes[there], 'scene')}, {_between(table.runs[there], 'run')}")
-    if _partial(table).any():
+    if (table.runs < table.planned).any():
         said.append(f"{_PART} some of its runs are not finished")
     if np.isfinite(table.low).any():
         said.append(f"[low, high]: {interval_words(table.level, table.over)}")
@@ -137,16 +137,16 @@ def _lines(table: StudyTable, row: int, columns: Sequence[int]) -> Iterator[list
     """Yield a line for each metric of a row, the first with the row's factors."""
     labels = [text(table.rows[row][name]) for name in _row_names(table)]
     for j, (metric, unit) in enumerate(table.metrics.items()):
-        cells = [_cell(table, row, column, j) for column in columns]
+        digits = decimals(table.value[:, :, j], unit)
+        cells = [_cell(table, row, column, j, digits) for column in columns]
         yield [*(labels if j == 0 else [""] * len(labels)), named(metric, unit), *cells]
 
 
-def _cell(table: StudyTable, row: int, column: int, j: int) -> str:
+def _cell(table: StudyTable, row: int, column: int, j: int, digits: int) -> str:
     value, low, high = (float(part[row, column, j]) for part in (table.value, table.low, table.high))
     if not math.isfinite(value):
         return _NONE
-    digits = decimals(table.value[:, :, j], list(table.metrics.values())[j])
-    part = _PART if _partial(table)[row, column] else ""
+    part = _PART if table.runs[row, column] < table.planned[row, column] else ""
     interval = f" [{low:.{digits}f}, {high:.{digits}f}]" if math.isfinite(low) else ""
     return f"{value:.{digits}f}{part}{interval}"
 
@@ -178,10 +178,6 @@ def _fitting(table: StudyTable, width: int | None) -> list[list[int]]:
     together = first.count(first[0])
     many -= many % together if many > together else 0
     return [everything[i : i + many] for i in range(0, len(everything), many)]
-
-
-def _partial(table: StudyTable) -> Any:
-    return table.runs < table.planned
 
 
 def _between(counts: Any, what: str) -> str:

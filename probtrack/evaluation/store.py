@@ -10,6 +10,7 @@ import sqlite3
 import time
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -135,9 +136,10 @@ class Store:
             "SELECT id, key, scene, settings, conditions, runs, finished, seconds, duration, failure "
             "FROM cell JOIN scene ON cell.scene = scene.name ORDER BY id"
         )
+        parsed = cache(json.loads)  # many cells have the same settings, and the same conditions
         with self._said():
             return [
-                StoredCell(i, key, scene, json.loads(settings), json.loads(conditions), *rest)
+                StoredCell(i, key, scene, parsed(settings), parsed(conditions), *rest)
                 for i, key, scene, settings, conditions, *rest in self._db.execute(query)
             ]
 

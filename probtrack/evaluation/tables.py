@@ -202,6 +202,5 @@ def _left_out(cells: Sequence[StoredCell], named: Sequence[str]) -> tuple[Combin
     fixed = [*every.settings, *every.conditions]
     fixed = [name for name in fixed if name not in (*named, *varied.settings, *varied.conditions)]
     rest = (*varied.settings, *(() if SCENE in named else varied.conditions))
-    values = [values_of(cell) for cell in cells]
-    averaged = {name: in_order(one.get(name) for one in values) for name in rest if name not in named}
-    return {name: values[0][name] for name in fixed}, averaged
+    averaged = {name: in_order(values_of(cell).get(name) for cell in cells) for name in rest if name not in named}
+    return {name: values_of(cells[0])[name] for name in fixed}, averaged
