@@ -98,3 +98,11 @@ def test_a_truth_in_the_plane_is_judged_by_the_covariance_in_the_plane():
 def test_rejects_a_covariance_of_other_axes():
     with pytest.raises(ShapeError, match=r"covariance must have shape \(\.\.\., 3, 3\)"):
         normalised_square_error(torch.zeros(5, 3), torch.eye(2))
+
+
+def test_a_cloud_on_one_point_is_judged_by_the_floor_of_its_spread():
+    at, truth, none = torch.tensor([[0.3, 0.4]]), torch.zeros(1, 2), torch.zeros(2, 2)
+    numerator, count = NormalisedSquareError(floor=0.05).parts(*said(at, truth, none))
+    assert float(numerator) == pytest.approx((0.5 / 0.05) ** 2)
+    assert float(count) == 1
+    assert NormalisedSquareError(floor=0.0).parts(*said(at, truth, none)) == (math.inf, 1)
