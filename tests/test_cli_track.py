@@ -316,5 +316,5 @@ def test_unknown_command(capsys):
     assert main(["trace"]) == 2
     assert capsys.readouterr().err == (
         "probtrack: error: no command 'trace': "
-        "expected one of simulate, track, fit, score, plot (see probtrack --help)\n"
+        "expected one of simulate, track, fit, evaluate, study, score, plot (see probtrack --help)\n"
     )

@@ -63,6 +63,7 @@ def _plain(message: str) -> str:
     line = re.sub(r"Does not validate .* Given value: (.*)", r"expected a number, got \1", line)
     line = re.sub(r"Expected a typing.Literal\[(.*?)\]\. Got value: (.*)", r"expected one of \1, got '\2'", line)
     line = re.sub(r"Expected a <class '(\w+)'>\. Got value: (.*)", r"expected \1, got \2", line)
+    line = re.sub(r"(arguments are required: )\w+\.", r"\1", line)  # without the sub-command
     return re.sub(r"^Problems parsing config:", "--config: not YAML:", line)
 
 

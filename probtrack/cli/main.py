@@ -12,6 +12,7 @@ COMMANDS = {
     "track": "a recording in, a talker's track out",
     "fit": "parameters of models from data",
     "evaluate": "trackers compared over recordings and many runs",
+    "study": "tables and pictures of studies",
     "score": "figures of a track against the truth",
     "plot": "a picture of tracks, or of a recording tracked",
 }

@@ -61,7 +61,7 @@ def _show(args: Namespace) -> None:
 def _plot_parser() -> ArgumentParser:
     by = flags.parser("study plot", "Draw a panel for each metric: figures with bands against a factor.")
     by.add_argument("store", type=str, help="store, .sqlite")
-    by.add_argument("-o", "--output", type=str, required=True, help="picture: .png, .pdf or .svg")
+    by.add_argument("-o", "--output", type=str, help="picture: .png, .pdf or .svg")
     by.add_argument("--x", type=str, help="factor along the axis, by default the number with most values")
     by.add_argument("--rows", type=str, nargs="+", help="factors of which each combination is a line; by default all")
     by.add_argument("--log-x", action="store_true", help="a logarithmic axis")
@@ -72,6 +72,8 @@ def _plot_parser() -> ArgumentParser:
 def _plot(args: Namespace) -> None:
     from probtrack.evaluation.pictures import plot_study
 
+    if args.output is None:
+        raise InputError("-o is needed: the picture to write")
     layout = {"x": args.x, "rows": args.rows, "metrics": args.metrics, "log_x": args.log_x}
     with Store(args.store) as store:
         progress = plot_study(store, args.output, **layout, level=args.level, over=args.over).progress
@@ -82,13 +84,15 @@ def _plot(args: Namespace) -> None:
 def _export_parser() -> ArgumentParser:
     by = flags.parser("study export", "Write all runs as a table, one row each; what can be read of a damaged store.")
     by.add_argument("store", type=str, help="store, .sqlite")
-    by.add_argument("-o", "--output", type=str, required=True, help="table: .csv or .parquet")
+    by.add_argument("-o", "--output", type=str, help="table: .csv or .parquet")
     return by
 
 
 def _export(args: Namespace) -> None:
     from probtrack.evaluation.export import export_runs
 
+    if args.output is None:
+        raise InputError("-o is needed: the table to write")
     warning = export_runs(args.store, args.output)
     if warning is not None:
         flags.warn("study", warning)

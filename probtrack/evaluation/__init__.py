@@ -6,12 +6,21 @@ What needs torch is imported when it is first named: tables and pictures of a fi
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from probtrack.evaluation.comparison import Comparison as Comparison
+from probtrack.evaluation.comparison import compare as compare
+from probtrack.evaluation.export import export_runs as export_runs
+from probtrack.evaluation.export import runs_table as runs_table
+from probtrack.evaluation.pairing import Side as Side
+from probtrack.evaluation.pictures import plot_study as plot_study
 from probtrack.evaluation.store import CellScores as CellScores
 from probtrack.evaluation.store import PlannedCell as PlannedCell
 from probtrack.evaluation.store import PlannedScene as PlannedScene
 from probtrack.evaluation.store import Scores as Scores
 from probtrack.evaluation.store import Store as Store
 from probtrack.evaluation.store import StoredCell as StoredCell
+from probtrack.evaluation.tables import Completion as Completion
+from probtrack.evaluation.tables import StudyTable as StudyTable
+from probtrack.evaluation.tables import tabulate as tabulate
 
 if TYPE_CHECKING:
     from probtrack.evaluation.cell import Cell as Cell

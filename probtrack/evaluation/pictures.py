@@ -9,7 +9,7 @@ import numpy as np
 from probtrack._files import check_suffix, check_writable
 from probtrack.errors import InputError
 from probtrack.evaluation.factors import Factors, heading, in_order, is_number, label, values_of
-from probtrack.evaluation.rendering import interval_words, named
+from probtrack.evaluation.rendering import averages, interval_words, named
 from probtrack.evaluation.store import Store, StoredCell
 from probtrack.evaluation.tables import StudyTable, started, tabulate
 from probtrack.metrics.bootstrap import Over
@@ -69,8 +69,9 @@ def plot_study(
         for row, style in enumerate(_styles(table)):
             _draw(axis, table, row, j, style)
         _finish(axis, table, j, x, log_x)
-    hollow = "; hollow: not all runs finished" if (table.runs < table.planned).any() else ""
-    figure.supxlabel(f"bands: {interval_words(level, over)}{hollow}", fontsize=8, color="0.4")
+    hollow = ["hollow: not all runs finished"] if (table.runs < table.planned).any() else []
+    below = [f"bands: {interval_words(level, over)}", *hollow, *averages(table)]
+    figure.supxlabel("; ".join(below), fontsize=8, color="0.4")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     figure.savefig(output, dpi=120)

@@ -96,8 +96,7 @@ def notes(table: StudyTable) -> list[str]:
     said = [f"{table.path}: {table.progress}"]
     if table.fixed:
         said.append(f"everywhere: {', '.join(label(name, value) for name, value in table.fixed.items())}")
-    for name, values in table.averaged.items():
-        said.append(f"averaged over {heading(name)}: {', '.join(map(text, values))}")
+    said += averages(table)
     there = table.runs > 0
     said.append(f"a figure is of {_between(table.scenes[there], 'scene')}, {_between(table.runs[there], 'run')}")
     if (table.runs < table.planned).any():
@@ -107,6 +106,11 @@ def notes(table: StudyTable) -> list[str]:
     if table.over == "scenes" and table.scenes[there].min() == 1:
         said.append("of one scene there is no interval over scenes, but one over runs")
     return said
+
+
+def averages(table: StudyTable) -> list[str]:
+    """Return what the figures are averages over, a factor each."""
+    return [f"averaged over {heading(name)}: {', '.join(map(text, v))}" for name, v in table.averaged.items()]
 
 
 def interval_words(level: float, over: str) -> str:

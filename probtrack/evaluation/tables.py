@@ -18,7 +18,7 @@ COSTS = {"seconds": "s", "real_time_factor": ""}
 """What a run takes, beside the metrics: seconds of one processor, and those over the seconds of the recording."""
 
 
-class Progress(NamedTuple):
+class Completion(NamedTuple):
     """How far a study is.
 
     Attributes:
@@ -32,7 +32,7 @@ class Progress(NamedTuple):
     failures: tuple[str, ...]
 
     @classmethod
-    def of(cls, cells: Sequence[StoredCell]) -> "Progress":
+    def of(cls, cells: Sequence[StoredCell]) -> "Completion":
         """Return how far a study with these cells is."""
         failures = tuple(cell.failure for cell in cells if cell.failure is not None)
         return cls(len(cells), sum(cell.finished is not None for cell in cells), failures)
@@ -76,7 +76,7 @@ class StudyTable:
     planned: NDArray[np.int64]
     fixed: Combination
     averaged: dict[str, list[Any]]
-    progress: Progress
+    progress: Completion
     level: float
     over: Over
 
@@ -132,7 +132,7 @@ def tabulate(
         planned=groups.planned.reshape(shape),
         fixed=fixed,
         averaged=averaged,
-        progress=Progress.of(cells),
+        progress=Completion.of(cells),
         level=level,
         over=over,
     )
@@ -147,7 +147,7 @@ def check_level(level: float) -> None:
 def started(store: Store) -> list[StoredCell]:
     """Return all cells of a study, or raise `InputError` if none of them is finished."""
     cells = store.cells
-    progress = Progress.of(cells)
+    progress = Completion.of(cells)
     if not progress.finished:
         raise InputError(f"{store.path}: nothing to show yet: {progress}")
     return cells
