@@ -102,7 +102,9 @@ class NormalisedSquareError(TrackMetric):
 
     def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
         error, covariance, known = _stated(estimate, truth)
-        covariance = covariance + self.floor**2 * torch.eye(covariance.shape[-1], dtype=covariance.dtype)
+        covariance = covariance + self.floor**2 * torch.eye(
+            covariance.shape[-1], dtype=covariance.dtype, device=covariance.device
+        )
         return sum_over_frames(normalised_square_error(error, covariance).where(known, torch.nan))
 
 
