@@ -8,7 +8,7 @@ import numpy as np
 
 from probtrack._files import check_suffix, check_writable
 from probtrack.errors import InputError
-from probtrack.evaluation.factors import Factors, heading, in_order, is_number, label, values_of
+from probtrack.evaluation.factors import Factors, heading, in_order, is_number, label, text, values_of
 from probtrack.evaluation.rendering import averages, interval_words, named
 from probtrack.evaluation.store import Store, StoredCell
 from probtrack.evaluation.tables import StudyTable, started, tabulate
@@ -83,18 +83,14 @@ def _axis(cells: Sequence[StoredCell], wanted: str | None, rows: Sequence[str], 
     every = Factors.of(cells)
     for name in rows:
         every.known(name, "rows")
-    values = {
-        name: in_order(values_of(cell).get(name) for cell in cells)
-        for name in ((*every.settings, *every.conditions) if wanted is None else (every.known(wanted, "x"),))
-        if wanted is not None or name not in rows
-    }
+    names = [n for n in (*every.settings, *every.conditions) if n not in rows] if wanted is None else [wanted]
+    values = {every.known(name, "x"): in_order(values_of(cell).get(name) for cell in cells) for name in names}
     numbers = {name: v for name, v in values.items() if all(is_number(one) for one in v)}
-    if not numbers:
-        what = "has no factor that is a number" if wanted is None else f"{wanted} is no number: {values[wanted]}"
-        raise InputError(f"x: {what if wanted else 'the study ' + what}")
-    name = max(numbers, key=lambda one: len(numbers[one]))
-    if wanted is None and len(numbers[name]) < 2:
-        raise InputError("x: no factor of the study has several numbers: name one with x")
+    if wanted is not None and not numbers:
+        raise InputError(f"x: {wanted} is no number: {', '.join(map(text, values[wanted]))}")
+    name = max(numbers, key=lambda one: len(numbers[one]), default="")
+    if wanted is None and len(numbers.get(name, ())) < 2:
+        raise InputError("x: no factor of the study has several numbers: name one with --x")
     if log_x and numbers[name][0] <= 0:
         raise InputError(f"log_x: values of {name} must be positive, got {numbers[name][0]:g}")
     return name
