@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from probtrack.metrics.calibration import NormalisedSquareError as NormalisedSquareError
     from probtrack.metrics.calibration import inside_region as inside_region
     from probtrack.metrics.calibration import normalised_square_error as normalised_square_error
+    from probtrack.metrics.episodes import detected as detected
+    from probtrack.metrics.episodes import fragments as fragments
+    from probtrack.metrics.episodes import latencies as latencies
+    from probtrack.metrics.episodes import swaps as swaps
     from probtrack.metrics.evers2020 import DetectionRate as DetectionRate
     from probtrack.metrics.evers2020 import FalseAlarmRate as FalseAlarmRate
     from probtrack.metrics.evers2020 import FragmentationRate as FragmentationRate
     from probtrack.metrics.evers2020 import Latency as Latency
     from probtrack.metrics.evers2020 import SwapRate as SwapRate
-    from probtrack.metrics.evers2020 import detected as detected
-    from probtrack.metrics.evers2020 import fragments as fragments
-    from probtrack.metrics.evers2020 import latencies as latencies
-    from probtrack.metrics.evers2020 import swaps as swaps
     from probtrack.metrics.fallon2006 import HeadingMeanSpread as HeadingMeanSpread
     from probtrack.metrics.fallon2006 import HeadingMeanSquareError as HeadingMeanSquareError
     from probtrack.metrics.fallon2006 import MeanSpread as MeanSpread
@@ -56,9 +56,9 @@ if TYPE_CHECKING:
     from probtrack.metrics.registry import known as known
     from probtrack.metrics.scoring import Score as Score
     from probtrack.metrics.scoring import score as score
-    from probtrack.metrics.sets import GeneralisedSubPatternAssignment as GeneralisedSubPatternAssignment
+    from probtrack.metrics.set_distances import GeneralisedSubPatternAssignment as GeneralisedSubPatternAssignment
+    from probtrack.metrics.set_distances import OptimalSubPatternAssignment as OptimalSubPatternAssignment
     from probtrack.metrics.sets import Gospa as Gospa
-    from probtrack.metrics.sets import OptimalSubPatternAssignment as OptimalSubPatternAssignment
     from probtrack.metrics.sets import gospa as gospa
     from probtrack.metrics.sets import ospa as ospa
     from probtrack.metrics.sets import ospa_as_released as ospa_as_released
@@ -87,17 +87,8 @@ _FILES = {
         "inside_region",
         "normalised_square_error",
     ),
-    "evers2020": (
-        "DetectionRate",
-        "FalseAlarmRate",
-        "FragmentationRate",
-        "Latency",
-        "SwapRate",
-        "detected",
-        "fragments",
-        "latencies",
-        "swaps",
-    ),
+    "episodes": ("detected", "fragments", "latencies", "swaps"),
+    "evers2020": ("DetectionRate", "FalseAlarmRate", "FragmentationRate", "Latency", "SwapRate"),
     "fallon2006": (
         "HeadingMeanSpread",
         "HeadingMeanSquareError",
@@ -111,14 +102,8 @@ _FILES = {
     "metric": ("Parts", "TrackMetric"),
     "registry": ("known",),
     "scoring": ("Score", "score"),
-    "sets": (
-        "GeneralisedSubPatternAssignment",
-        "Gospa",
-        "OptimalSubPatternAssignment",
-        "gospa",
-        "ospa",
-        "ospa_as_released",
-    ),
+    "set_distances": ("GeneralisedSubPatternAssignment", "OptimalSubPatternAssignment"),
+    "sets": ("Gospa", "gospa", "ospa", "ospa_as_released"),
     "smoothness": ("AzimuthJumps", "LargestJump", "Locked", "largest_jump"),
     "talkers": ("Talkers",),
 }

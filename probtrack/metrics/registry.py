@@ -7,7 +7,7 @@ from probtrack.metrics.evers2020 import DetectionRate, FalseAlarmRate, Fragmenta
 from probtrack.metrics.fallon2006 import HeadingMeanSpread, HeadingMeanSquareError, MeanSpread, MeanSquareError
 from probtrack.metrics.lehmann2007 import RootMeanSquareError, TrackLoss
 from probtrack.metrics.metric import TrackMetric
-from probtrack.metrics.sets import GeneralisedSubPatternAssignment, OptimalSubPatternAssignment
+from probtrack.metrics.set_distances import GeneralisedSubPatternAssignment, OptimalSubPatternAssignment
 from probtrack.metrics.smoothness import AzimuthJumps, LargestJump, Locked
 
 _CLASSES: tuple[type[TrackMetric], ...] = (

@@ -1,18 +1,13 @@
 """Distances between sets of talkers and sets of tracks: OSPA and GOSPA."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from probtrack._checks import as_positive
 from probtrack.errors import InputError
-from probtrack.metrics.association import OfSets, best_pairs
-from probtrack.metrics.metric import Parts
-from probtrack.metrics.one_talker import sum_over_frames
-from probtrack.metrics.talkers import Talkers
-
-_CUTOFFS = {"position": 1.0, "azimuth": torch.pi / 6}  # m; the 30 degrees of LOCATA
+from probtrack.metrics.association import best_pairs
 
 
 def ospa(distance: Tensor, *, there: Tensor, said: Tensor, order: float = 1.0, cutoff: float = 1.0) -> Tensor:
@@ -48,7 +43,7 @@ def ospa_as_released(
     They assign over the flattened matrix of distances, which counts one pair, the nearest, however many there are.
     """
     present = there[..., :, None] & said[..., None, :]
-    _check(order, cutoff)
+    check_order(order, cutoff)
     nearest = distance.where(present, cutoff).clamp_max(cutoff).flatten(-2)
     nearest = torch.nn.functional.pad(nearest, (0, 1), value=cutoff).amin(-1) ** order
     talkers, tracks = there.sum(-1), said.sum(-1)
@@ -100,65 +95,9 @@ def gospa(distance: Tensor, *, there: Tensor, said: Tensor, order: float = 2.0, 
     return Gospa((localisation + missed + false) ** (1 / order), localisation, missed, false)
 
 
-class _SetDistance(OfSets):
-    """A distance of sets, averaged over frames."""
-
-    def __init__(self, order: float, cutoff: float | None, by: Literal["position", "azimuth"]) -> None:
-        super().__init__(_CUTOFFS.get(by, 1.0) if cutoff is None else cutoff, by)
-        _check(order, self.limit)
-        self.order = order
-        self.unit = "m" if by == "position" else "rad"
-
-
-class OptimalSubPatternAssignment(_SetDistance):
-    """OSPA, mean over frames, see `ospa`.
-
-    Args:
-        order: p >= 1.
-        cutoff: c [m or rad]; 1 m or 30 degrees if not given.
-        by: What is compared: positions, or azimuths alone.
-    """
-
-    name = "ospa"
-    unit = "m"
-
-    def __init__(
-        self, order: float = 1.0, cutoff: float | None = None, by: Literal["position", "azimuth"] = "position"
-    ) -> None:
-        super().__init__(order, cutoff, by)
-
-    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
-        there, said = self.present(truth), self.present(estimate)
-        distance = self.distance(estimate, truth)
-        return sum_over_frames(ospa(distance, there=there, said=said, order=self.order, cutoff=self.limit))
-
-
-class GeneralisedSubPatternAssignment(_SetDistance):
-    """GOSPA, mean over frames, see `gospa`.
-
-    Args:
-        order: p >= 1.
-        cutoff: c [m or rad]; 1 m or 30 degrees if not given.
-        by: What is compared: positions, or azimuths alone.
-    """
-
-    name = "gospa"
-    unit = "m"
-
-    def __init__(
-        self, order: float = 2.0, cutoff: float | None = None, by: Literal["position", "azimuth"] = "position"
-    ) -> None:
-        super().__init__(order, cutoff, by)
-
-    def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
-        there, said = self.present(truth), self.present(estimate)
-        distance = self.distance(estimate, truth)
-        return sum_over_frames(gospa(distance, there=there, said=said, order=self.order, cutoff=self.limit).distance)
-
-
 def _gains(distance: Tensor, there: Tensor, said: Tensor, order: float, cutoff: float) -> tuple[Tensor, Tensor]:
     """Return c^p - d^p of the best pairs (..., K), 0 without one, and which talkers have one: those nearer than c."""
-    _check(order, cutoff)
+    check_order(order, cutoff)
     present = there[..., :, None] & said[..., None, :]
     gain = (cutoff**order - distance**order).where(present & (distance < cutoff), 0.0)
     track = best_pairs(gain)
@@ -168,7 +107,8 @@ def _gains(distance: Tensor, there: Tensor, said: Tensor, order: float, cutoff: 
     return gain.gather(-1, track.clamp_min(0)[..., None])[..., 0].where(paired, 0.0), paired
 
 
-def _check(order: float, cutoff: float) -> None:
+def check_order(order: float, cutoff: float) -> None:
+    """Raise `InputError` unless these make a metric."""
     as_positive(cutoff, "cutoff")
     if not order >= 1:
         raise InputError(f"order must be at least 1, got {order}")
