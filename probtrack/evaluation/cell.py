@@ -18,7 +18,7 @@ from probtrack.simulation import SceneFolder
 from probtrack.simulation.description import made_with
 from probtrack.trackers import Tracker
 
-_AT_ONCE = 2**19  # particles of all runs that are worked on together: about a gigabyte
+_AT_ONCE = 2**18  # particles of all runs that are worked on together: about half a gigabyte
 _FRAMES = 2**22  # frames of all runs that are judged together: about half a gigabyte
 
 

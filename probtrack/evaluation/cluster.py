@@ -61,7 +61,8 @@ def _worked_on(claims: Claims, client: Any, scheduler: str) -> Iterator[Finished
         if not pending:
             return
         try:
-            done = wait(list(pending), timeout=_LOOK, return_when="FIRST_COMPLETED").done
+            with client.as_current():
+                done = wait(list(pending), timeout=_LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             if time.monotonic() - seen > _PATIENCE:
                 raise InputError(f"{scheduler}: all workers are gone: start again when there are some") from None

@@ -7,10 +7,11 @@ import itertools
 import json
 from argparse import ArgumentError
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import torch
 from jsonargparse import ArgumentParser
 
 from probtrack import metrics, trackers
@@ -109,7 +110,12 @@ def load_study(path: str | Path) -> Study:
             metrics do not take, recordings that are not there, or that lack the truth that a metric needs.
     """
     path = Path(path)
-    file = from_description(StudyFile, read_yaml(path, "study file"), path)
+    content = read_yaml(path, "study file")
+    chosen = {}
+    if isinstance(content, dict):  # the parser would make a class_path that may be anything at once
+        chosen = {name: content[name] for name in ("trackers", "metrics") if name in content}
+        content |= {"trackers": {}, "metrics": []} if "trackers" in chosen else {"metrics": []}
+    file = replace(from_description(StudyFile, content, path), **chosen)
     try:
         return plan(file, path.absolute().parent)
     except InputError as error:
@@ -120,6 +126,10 @@ def plan(file: StudyFile, base: Path) -> Study:
     """Return the study of `file`, whose paths are from the folder `base`."""
     check_int(file.runs, "runs", low=1)
     check_int(file.seed, "seed", low=0)
+    if not isinstance(file.trackers, dict) or not all(isinstance(name, str) for name in file.trackers):
+        raise InputError(f"trackers must be a mapping of names to what they are, got {file.trackers!r}")
+    if not isinstance(file.metrics, list):
+        raise InputError(f"metrics must be a list, got {file.metrics!r}")
     judged = tuple(_metric(entry) for entry in file.metrics)
     _check_different([metric.name for metric in judged], "metrics")
     if not judged:
@@ -153,7 +163,8 @@ def plan(file: StudyFile, base: Path) -> Study:
     )
     scenes = tuple(PlannedScene(one.name, one.fingerprint(), one.conditions, seeds[one.name]) for one in found)
     config = {name: value for name, value in asdict(file).items() if name != "scenes"}
-    config |= {"files": inputs, "made_with": versions()}
+    dtype = str(torch.get_default_dtype()).removeprefix("torch.")
+    config |= {"files": inputs, "made_with": versions(), "dtype": dtype}
     return Study(json.loads(json.dumps(config)), scenes, judged, cells)
 
 
