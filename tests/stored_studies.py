@@ -16,13 +16,13 @@ RUNS = 4
 
 
 def rmse(settings, scene, run):
-    """Numerator and denominator: frames differ from scene to scene, so that an average of averages is another figure."""
+    """Numerator and denominator: frames differ from scene to scene, so an average of averages is another figure."""
     frames = {"a": 10.0, "b": 20.0, "c": 60.0}.get(scene, 30.0)
     level = {"loud": 0.1, "soft": 0.3}.get(settings["tracker"], 0.2)
     return frames * (level + {"a": 0.0, "b": 0.02, "c": 0.05}.get(scene, 0.01) + 0.001 * run), frames
 
 
-def track_loss(settings, scene, run):
+def track_loss(settings, _scene, run):
     lost = settings["tracker"] == "soft" and run == 0
     return float(lost), 1.0
 

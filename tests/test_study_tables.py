@@ -62,10 +62,9 @@ def test_wider_level_wider_interval(study):
 
 def test_cells_that_are_put_together_are_not_mixed_when_runs_are_drawn(tmp_path):
     """Settings far apart, without any chance within: drawing runs anew changes nothing."""
-    path = write_study(
-        tmp_path / "s.sqlite", vary={"num_particles": [25, 75]}, scores=(lambda s, *_: (float(s["num_particles"]), 1.0),),
-        metrics=[("rmse", "m")],
-    )  # fmt: skip
+    scores = (lambda settings, *_: (float(settings["num_particles"]), 1.0),)
+    vary = {"num_particles": [25, 75]}
+    path = write_study(tmp_path / "s.sqlite", vary=vary, scores=scores, metrics=[("rmse", "m")])
     found = table(path, rows=["tracker"], columns=[], over="runs")
     np.testing.assert_allclose([found.value, found.low, found.high], 50)
     assert found.averaged == {"num_particles": [25, 75], "snr_db": [5, 20]}
@@ -78,7 +77,7 @@ def test_what_a_run_takes(study):
 
 
 def test_run_without_anything_to_judge_does_not_count(tmp_path):
-    scores = (lambda s, scene, run: (0.0, 0.0) if run == 1 else (run * 2.0, 2.0),)
+    scores = (lambda _settings, _scene, run: (0.0, 0.0) if run == 1 else (run * 2.0, 2.0),)
     path = write_study(tmp_path / "s.sqlite", metrics=[("rmse", "m")], scores=scores)
     np.testing.assert_allclose(table(path).value, (0 + 2 + 3) / 3)
 

@@ -20,13 +20,15 @@ BESIDE = ("-wal", "-shm")
 
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE scene (name TEXT PRIMARY KEY, fingerprint TEXT NOT NULL, conditions TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE scene (name TEXT PRIMARY KEY, fingerprint TEXT NOT NULL, conditions TEXT NOT NULL,
+    checksum INTEGER NOT NULL) WITHOUT ROWID;
 CREATE TABLE seed (scene TEXT NOT NULL, run INTEGER NOT NULL, seed INTEGER NOT NULL, PRIMARY KEY (scene, run))
     WITHOUT ROWID;
 CREATE TABLE metric (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, unit TEXT NOT NULL);
 CREATE TABLE cell (
     id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, scene TEXT NOT NULL, settings TEXT NOT NULL,
-    runs INTEGER NOT NULL, pid INTEGER, pid_since TEXT, finished REAL, seconds REAL, duration REAL, failure TEXT);
+    runs INTEGER NOT NULL, checksum INTEGER NOT NULL,
+    pid INTEGER, pid_since TEXT, finished REAL, seconds REAL, duration REAL, failure TEXT);
 CREATE TABLE score (
     metric INTEGER NOT NULL, cell INTEGER NOT NULL, numerator BLOB NOT NULL, denominator BLOB NOT NULL,
     checksum INTEGER NOT NULL, PRIMARY KEY (metric, cell));
@@ -61,6 +63,17 @@ def unpacked(
 
 def _checksum(metric: int, cell: int, first: bytes, second: bytes) -> int:
     return zlib.crc32(f"{metric} {cell} ".encode() + first + second)
+
+
+def checksum_of(*columns: object) -> int:
+    """Return the checksum of columns of names and numbers, as they were planned."""
+    return zlib.crc32("\n".join(map(str, columns)).encode())
+
+
+def check_unchanged(checksum: object, *columns: object) -> None:
+    """Raise `sqlite3.DatabaseError` if columns are not as they were planned."""
+    if checksum_of(*columns) != checksum:
+        raise sqlite3.DatabaseError("the plan is malformed")
 
 
 def connected(path: Path, mode: str) -> sqlite3.Connection:

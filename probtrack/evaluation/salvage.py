@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from probtrack.errors import InputError
-from probtrack.evaluation.store import FORMAT, Scores, Store, StoredCell, unpacked
+from probtrack.evaluation.database import FORMAT, check_unchanged, unpacked
+from probtrack.evaluation.store import Scores, Store, StoredCell
 
 _UNREADABLE = (sqlite3.Error, ValueError)  # pages, and what is in them: JSON, text
-_CELL = "id, key, scene, settings, runs, finished, seconds, duration, failure"
 
 
 class Runs(NamedTuple):
@@ -88,8 +88,13 @@ class _Scenes:
 
     def conditions(self, name: str) -> dict[str, Any]:
         if name not in self._conditions:
-            row = _row(self._db, "SELECT conditions FROM scene WHERE name = ?", (name,))
-            self._conditions[name] = (_mapping(row[0]) if row else None) or {}
+            self._conditions[name] = {}
+            row = _row(self._db, "SELECT * FROM scene WHERE name = ?", (name,))
+            if row is not None:
+                *planned, checksum = row
+                with suppress(*_UNREADABLE):
+                    check_unchanged(checksum, *planned)
+                    self._conditions[name] = json.loads(planned[2])
         return self._conditions[name]
 
     def seeds(self, name: str) -> list[int]:
@@ -99,12 +104,16 @@ class _Scenes:
 
 
 def _cell(db: sqlite3.Connection, number: int, scenes: _Scenes) -> StoredCell | None:
-    row = _row(db, f"SELECT {_CELL} FROM cell WHERE id = ?", (number,))
-    settings = _mapping(row[3]) if row else None
-    if row is None or settings is None or not (isinstance(row[2], str) and isinstance(row[4], int)):
+    row = _row(db, "SELECT key, scene, settings, runs, checksum FROM cell WHERE id = ?", (number,))
+    if row is None:
         return None
-    number, key, scene, _, *rest = row
-    return StoredCell(number, key, scene, settings, scenes.conditions(scene), *rest)
+    *planned, checksum = row
+    key, scene, settings, runs = planned
+    with suppress(*_UNREADABLE):
+        check_unchanged(checksum, *planned)
+        done = db.execute("SELECT finished, seconds, duration, failure FROM cell WHERE id = ?", (number,)).fetchone()
+        return StoredCell(number, key, scene, json.loads(settings), scenes.conditions(scene), runs, *done)
+    return None
 
 
 def _parts(db: sqlite3.Connection, most: int) -> dict[tuple[int, int], Any]:
@@ -138,13 +147,6 @@ def _only(scores: Scores, cells: list[int]) -> Scores:
 def _row(db: sqlite3.Connection, query: str, values: tuple[Any, ...]) -> Any:
     with suppress(*_UNREADABLE):
         return db.execute(query, values).fetchone()
-    return None
-
-
-def _mapping(text: object) -> dict[str, Any] | None:
-    with suppress(*_UNREADABLE):
-        content = json.loads(text) if isinstance(text, str) else None
-        return content if isinstance(content, dict) else None
     return None
 
 

@@ -8,7 +8,7 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from probtrack.errors import InputError, NotFiniteError
-from probtrack.evaluation.database import BESIDE, TABLES, connected, in_one_line, packed
+from probtrack.evaluation.database import BESIDE, TABLES, check_unchanged, checksum_of, connected, in_one_line, packed
 from probtrack.evaluation.database import FORMAT as FORMAT
 from probtrack.evaluation.database import DamagedStoreError as DamagedStoreError
 from probtrack.evaluation.database import unpacked as unpacked
@@ -82,15 +82,15 @@ class Store:
                     meta["cells"] = str(len(cells))  # so that a damaged file can say what is missing
                     db.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
                     db.executemany(
-                        "INSERT INTO scene VALUES (?, ?, ?)",
-                        ((one.name, one.fingerprint, json.dumps(one.conditions)) for one in scenes),
+                        "INSERT INTO scene VALUES (?, ?, ?, ?)",
+                        _with_checksums((s.name, s.fingerprint, json.dumps(s.conditions)) for s in scenes),
                     )
                     rows = ((one.name, run, seed) for one in scenes for run, seed in enumerate(one.seeds))
                     db.executemany("INSERT INTO seed VALUES (?, ?, ?)", rows)
                     db.executemany("INSERT INTO metric (name, unit) VALUES (?, ?)", metrics)
                     db.executemany(
-                        "INSERT INTO cell (key, scene, settings, runs) VALUES (?, ?, ?, ?)",
-                        ((c.key, c.scene, json.dumps(c.settings), c.runs) for c in cells),
+                        "INSERT INTO cell (key, scene, settings, runs, checksum) VALUES (?, ?, ?, ?, ?)",
+                        _with_checksums((c.key, c.scene, json.dumps(c.settings), c.runs) for c in cells),
                     )
                 with suppress(FileExistsError):
                     os.link(unfinished, path)  # unlike a renaming it leaves a file alone that another process made
@@ -132,16 +132,18 @@ class Store:
     @property
     def cells(self) -> list[StoredCell]:
         """All cells, finished or not."""
-        query = (
-            "SELECT id, key, scene, settings, conditions, runs, finished, seconds, duration, failure "
-            "FROM cell JOIN scene ON cell.scene = scene.name ORDER BY id"
-        )
-        parsed = cache(json.loads)  # many cells have the same settings, and the same conditions
+        columns = "id, key, scene, settings, runs, checksum, finished, seconds, duration, failure"
+        parsed = cache(json.loads)  # many cells have the same settings
+        cells = []
         with self._said():
-            return [
-                StoredCell(i, key, scene, parsed(settings), parsed(conditions), *rest)
-                for i, key, scene, settings, conditions, *rest in self._db.execute(query)
-            ]
+            conditions = self._conditions()
+            rows = self._db.execute(f"SELECT {columns} FROM cell ORDER BY id")
+            for i, key, scene, settings, runs, checksum, *rest in rows:
+                check_unchanged(checksum, key, scene, settings, runs)
+                if scene not in conditions:
+                    raise sqlite3.DatabaseError(f"scene {scene} is malformed")
+                cells.append(StoredCell(i, key, scene, parsed(settings), conditions[scene], runs, *rest))
+        return cells
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -260,5 +262,16 @@ class Store:
             self._db.rollback()
             raise
 
+    def _conditions(self) -> dict[str, dict[str, Any]]:
+        conditions = {}
+        for name, fingerprint, content, checksum in self._db.execute("SELECT * FROM scene"):
+            check_unchanged(checksum, name, fingerprint, content)
+            conditions[name] = json.loads(content)
+        return conditions
+
     def _said(self) -> Any:
         return in_one_line(self.path)
+
+
+def _with_checksums(rows: Iterable[tuple[object, ...]]) -> Iterator[tuple[object, ...]]:
+    return ((*row, checksum_of(*row)) for row in rows)
