@@ -34,7 +34,8 @@ def test_normalised_square_error_is_that_of_the_inverse():
 
 
 @pytest.mark.parametrize(
-    "covariance", [[[0.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]], [[1.0, 0.0], [0.0, math.nan]]]
+    "covariance",
+    [[[0.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.0], [0.0, math.nan]]],
 )
 def test_what_is_certain_or_unknown_is_infinitely_wrong(covariance):
     error, covariance = torch.tensor([[0.1, 0.2], [3.0, 4.0]]), torch.tensor([covariance, [[25.0, 0.0], [0.0, 25.0]]])
