@@ -9,7 +9,17 @@ import torch
 
 from benchmarks.pairs import markdown
 
-NAMES = ("tracking", "steered_power", "filter", "training_step", "dynamics", "memory", "study_cell", "startup")
+NAMES = (
+    "tracking",
+    "steered_power",
+    "filter",
+    "training_step",
+    "dynamics",
+    "memory",
+    "study_cell",
+    "study_store",
+    "startup",
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -55,10 +55,15 @@ def unpacked(
     metric: int, cell: int, first: bytes, second: bytes, checksum: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return numerators and denominators of a row of the scores, or raise `sqlite3.DatabaseError` if it has changed."""
+    check_scores(metric, cell, first, second, checksum)
+    return np.frombuffer(first, "<f8"), np.frombuffer(second, "<f8")
+
+
+def check_scores(metric: int, cell: int, first: bytes, second: bytes, checksum: int) -> None:
+    """Raise `sqlite3.DatabaseError` if a row of the scores is not as it was written."""
     blobs = isinstance(first, bytes) and isinstance(second, bytes)
     if not blobs or _checksum(metric, cell, first, second) != checksum:
         raise sqlite3.DatabaseError("scores are malformed")
-    return np.frombuffer(first, "<f8"), np.frombuffer(second, "<f8")
 
 
 def _checksum(metric: int, cell: int, first: bytes, second: bytes) -> int:

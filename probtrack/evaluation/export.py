@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from probtrack._files import check_suffix, check_writable
+from probtrack.evaluation.database import DamagedStoreError
 from probtrack.evaluation.factors import SCENE, Factors, is_number, text
 from probtrack.evaluation.salvage import Runs, runs_of, salvage
-from probtrack.evaluation.store import DamagedStoreError, Store, StoredCell
+from probtrack.evaluation.store import Store, StoredCell
 
 if TYPE_CHECKING:
     from pandas import DataFrame

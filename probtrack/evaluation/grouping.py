@@ -97,5 +97,5 @@ def _combinations(values: list[Combination], names: Sequence[str]) -> tuple[list
 
 
 def ratio(above: NDArray[Any], below: NDArray[Any]) -> Numbers:
-    """Return `above` / `below` (G,), NaN where there is nothing below."""
-    return np.asarray(np.divide(above, below, out=np.full(len(above), np.nan), where=below > 0))
+    """Return `above` / `below`, NaN where there is nothing below."""
+    return np.asarray(np.divide(above, below, out=np.full(above.shape, np.nan), where=below > 0))

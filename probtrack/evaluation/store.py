@@ -17,10 +17,17 @@ from typing import Any
 import numpy as np
 
 from probtrack.errors import InputError, NotFiniteError
-from probtrack.evaluation.database import BESIDE, TABLES, check_unchanged, checksum_of, connected, in_one_line, packed
-from probtrack.evaluation.database import FORMAT as FORMAT
-from probtrack.evaluation.database import DamagedStoreError as DamagedStoreError
-from probtrack.evaluation.database import unpacked as unpacked
+from probtrack.evaluation.database import (
+    BESIDE,
+    FORMAT,
+    TABLES,
+    check_scores,
+    check_unchanged,
+    checksum_of,
+    connected,
+    in_one_line,
+    packed,
+)  # fmt: skip
 from probtrack.evaluation.processes import started
 from probtrack.evaluation.records import CellScores as CellScores
 from probtrack.evaluation.records import PlannedCell as PlannedCell
@@ -177,13 +184,15 @@ class Store:
             "WHERE metric = (SELECT id FROM metric WHERE name = ?) ORDER BY cell"
         )
         with self._said():
-            rows = [(row[1], *unpacked(*row)) for row in self._db.execute(query, (metric,))]
-        runs = [len(numerator) for _, numerator, _ in rows]
+            rows = self._db.execute(query, (metric,)).fetchall()
+            for row in rows:
+                check_scores(*row)
+        runs = np.array([len(row[2]) // 8 for row in rows], dtype=np.int64)
         return Scores(
-            np.repeat([cell for cell, *_ in rows], runs).astype(np.int64),
-            np.concatenate([np.arange(n) for n in runs] or [np.zeros(0, np.int64)]),
-            np.concatenate([numerator for _, numerator, _ in rows] or [np.zeros(0)]),
-            np.concatenate([denominator for *_, denominator in rows] or [np.zeros(0)]),
+            np.repeat(np.array([row[1] for row in rows], dtype=np.int64), runs),
+            np.arange(runs.sum()) - np.repeat(np.cumsum(runs) - runs, runs),
+            np.frombuffer(b"".join(row[2] for row in rows), "<f8"),
+            np.frombuffer(b"".join(row[3] for row in rows), "<f8"),
         )
 
     def claim(self) -> int | None:

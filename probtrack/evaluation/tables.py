@@ -116,8 +116,7 @@ def tabulate(
     along, across = _layout(cells, rows, columns)
     groups = Groups(cells, along, across)
     shape = (len(groups.rows), len(groups.columns))
-    figures = [_figures(store, groups, *metric, level, over) for metric in names.items()]
-    value, low, high = (np.stack(part, -1).reshape(*shape, -1) for part in zip(*figures, strict=True))
+    value, low, high = (part.T.reshape(*shape, -1) for part in _figures(store, groups, names, level, over))
     fixed, averaged = _left_out(cells, (*along, *across))
     return StudyTable(
         path=store.path,
@@ -183,17 +182,24 @@ def _layout(
 
 
 def _figures(
-    store: Store, groups: Groups, metric: str, unit: str, level: float, over: Over
+    store: Store, groups: Groups, names: dict[str, str], level: float, over: Over
 ) -> tuple[Numbers, Numbers, Numbers]:
-    """Return values and both ends of intervals (G,) of a metric."""
-    if metric in COSTS and metric not in store.metrics:
-        cost = groups.seconds() if metric == "seconds" else groups.real_time_factors()
-        return cost, np.full_like(cost, np.nan), np.full_like(cost, np.nan)
-    total, count = groups.arrays(store.scores(metric), over)
-    value = ratio(np.nansum(total, (1, 2)), np.nansum(count, (1, 2)))
-    interval = bootstrap_interval(total, count, level=level, over=over)
-    shown = 100 if unit == "%" else 1
-    return shown * value, shown * interval.low, shown * interval.high
+    """Return values and both ends of intervals (J, G) of metrics and costs."""
+    costs = {"seconds": groups.seconds, "real_time_factor": groups.real_time_factors}
+    there = store.metrics
+    value, low, high = (np.full((len(names), groups.planned.size), np.nan) for _ in range(3))
+    judged = [j for j, name in enumerate(names) if name in there]
+    for j, name in enumerate(names):
+        if j not in judged:
+            value[j] = costs[name]()
+    if judged:
+        parts = [groups.arrays(store.scores(name), over) for name in names if name in there]
+        total, count = (np.stack(part) for part in zip(*parts, strict=True))  # at once: resamples are drawn one time
+        value[judged] = ratio(np.nansum(total, (2, 3)), np.nansum(count, (2, 3)))
+        interval = bootstrap_interval(total, count, level=level, over=over)
+        low[judged], high[judged] = interval
+    shown = np.array([100.0 if unit == "%" else 1.0 for unit in names.values()])[:, None]
+    return shown * value, shown * low, shown * high
 
 
 def _left_out(cells: Sequence[StoredCell], named: Sequence[str]) -> tuple[Combination, dict[str, list[Any]]]:
