@@ -9,6 +9,8 @@ import time
 import numpy as np
 import pytest
 import torch
+from study_processes import children, finished, running, wait_until
+from study_processes import start as start
 from study_scenes import CELLS, STUDY, claimed, failures, numbers, same, write_recordings, write_study
 
 from probtrack.cli.main import main
@@ -45,29 +47,6 @@ def float32(float64_and_seed):  # noqa: ARG001
 @pytest.fixture
 def study(folder):
     return load_study(write_study(folder))
-
-
-def running(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-def wait_until(true, seconds=120.0):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it took too long"
-        time.sleep(0.02)
-
-
-def finished(path):
-    try:
-        with Store(path) as store:
-            return store.progress[0]
-    except InputError:
-        return 0
 
 
 def test_scores_are_those_of_each_run_tracked_alone(folder, study, undisturbed):
@@ -178,28 +157,6 @@ def test_ctrl_c_ends_workers_at_once_and_keeps_what_they_finished(folder, study,
     assert same(numbers(tmp_path / "s.sqlite"), undisturbed)
 
 
-@pytest.fixture
-def start():
-    """Start commands as processes that are forked from one which has all imports done, and nothing else of this one."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["probtrack.evaluation.run", "probtrack.cli.evaluate"])
-    begun = []
-
-    def started(*arguments):
-        begun.append(context.Process(target=command, args=(list(arguments),)))
-        begun[-1].start()
-        return begun[-1]
-
-    yield started
-    for process in begun:
-        process.kill()
-        process.join()
-
-
-def command(arguments):
-    raise SystemExit(main(arguments))
-
-
 def test_killed_again_and_again_gives_the_same_numbers(start, folder, undisturbed, tmp_path):
     path, study = tmp_path / "s.sqlite", write_study(folder)
     for cells in (1, 3, 4):
@@ -236,20 +193,6 @@ def test_workers_of_a_killed_process_end_too(start, folder, undisturbed, tmp_pat
     wait_until(lambda: not any(map(running, workers)), 5.0)
     assert main(["evaluate", study, "-o", str(path)]) == 0
     assert same(numbers(path), undisturbed)
-
-
-def children(pid):
-    """Return the numbers of the processes that `pid` began."""
-    found = []
-    for name in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{name}/stat", encoding="utf-8") as file:
-                parent = int(file.read().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if parent == pid:
-            found.append(int(name))
-    return found
 
 
 def test_cells_that_fail_leave_the_others_alone_and_are_tried_again(folder, tmp_path, capsys):

@@ -70,7 +70,7 @@ def test_what_a_killed_process_claimed_is_to_be_done_again(path, reaped):
         with Store(path, write=True) as store:
             assert store.workers == [child.pid]
             assert store.claim() == 2
-            store.release([2])
+            store.release()
             child.kill()
             if reaped:
                 child.wait()
@@ -132,7 +132,7 @@ def test_a_released_cell_is_claimed_again_and_a_finished_one_is_not(path):
     with Store(path, write=True) as store:
         assert [store.claim(), store.claim()] == [1, 2]
         store.save(1, scores())
-        store.release([1, 2])
+        store.release()
         assert [store.claim(), store.claim()] == [2, 3]
 
 

@@ -80,24 +80,21 @@ def evaluate(
         cells = {stored.id: cell for stored, cell in zip(store.cells, study.cells, strict=True)}
         progress = _begin(study, store)
         on_progress(progress)
-        claimed: set[int] = set()
 
         def claims() -> Claims:
             while (number := store.claim()) is not None:
-                claimed.add(number)
                 yield number, cells[number]
 
         begin = time.monotonic()
         try:
             for one in _worked_on(claims(), workers, scheduler):
                 progress = _kept(store, one, progress)
-                claimed.discard(one.id)
                 done, failed = store.progress  # by other processes too
                 progress = replace(progress, done=done, failed=failed, seconds=time.monotonic() - begin)
                 on_progress(progress)
         finally:
             with suppress(InputError):  # what is wrong with the disk has been said
-                store.release(claimed)
+                store.release()
         return progress
 
 

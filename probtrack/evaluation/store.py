@@ -8,7 +8,7 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -235,11 +235,11 @@ class Store:
             query = "UPDATE cell SET pid = NULL, failure = ? WHERE id = ? AND finished IS NULL"
             self._db.execute(query, (failure, cell))
 
-    def release(self, cells: Collection[int]) -> None:
-        """Let go of cells that were claimed and are not finished: they are to be done again."""
+    def release(self) -> None:
+        """Let go of all that this process has claimed and not finished: it is to be done again."""
         with self._said(), self._transaction():
-            query = "UPDATE cell SET pid = NULL WHERE id = ? AND finished IS NULL"
-            self._db.executemany(query, [(cell,) for cell in cells])
+            own = (os.getpid(), started(os.getpid()))
+            self._db.execute("UPDATE cell SET pid = NULL WHERE pid = ? AND pid_since = ?", own)
 
     def retry(self) -> None:
         """Forget failures of before, so that their cells are tried again."""
@@ -263,8 +263,8 @@ class Store:
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         """Write all that is done within, or nothing; other processes wait meanwhile."""
-        self._db.execute("BEGIN IMMEDIATE")
         try:
+            self._db.execute("BEGIN IMMEDIATE")
             yield
             self._db.commit()
         except BaseException:

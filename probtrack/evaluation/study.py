@@ -112,9 +112,10 @@ def load_study(path: str | Path) -> Study:
     path = Path(path)
     content = read_yaml(path, "study file")
     chosen = {}
-    if isinstance(content, dict):  # the parser would make a class_path that may be anything at once
-        chosen = {name: content[name] for name in ("trackers", "metrics") if name in content}
-        content |= {"trackers": {}, "metrics": []} if "trackers" in chosen else {"metrics": []}
+    if isinstance(content, dict):  # of trackers and metrics, which may be anything, the parser would make class_paths
+        empty: dict[str, Any] = {"trackers": {}, "metrics": []}
+        chosen = {name: content[name] for name in empty if name in content}
+        content |= {name: empty[name] for name in chosen}
     file = replace(from_description(StudyFile, content, path), **chosen)
     try:
         return plan(file, path.absolute().parent)
@@ -191,6 +192,8 @@ def _trackers(
     where = f"trackers: {name}"
     choice = Choice.of(file.trackers[name], where)
     make = TRACKERS.get(choice.class_path) or _imported(choice.class_path, where, list(TRACKERS))
+    if not callable(make):
+        raise InputError(f"{where}: {choice.class_path} makes no tracker")
     for varied, values in file.vary.items():
         if varied in choice.init_args:
             raise InputError(f"{where}: {varied} is varied, so init_args cannot say it too")
