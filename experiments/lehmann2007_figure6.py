@@ -23,6 +23,7 @@ class Config:
     """Track every recording 60 times with each model."""
 
     talker: Talker = "natural"
+    vad_threshold: float = 8.0  # level over the noise that is taken for speech [dB]; S1 does not say its detector's
     runs: int = 60
     workers: int = 2
     quick: bool = False  # two levels, two recordings, 4 runs
@@ -33,8 +34,10 @@ def main(config: Config) -> StudyTable:
     """Do the study, draw and print it, and return its table."""
     snr_db, ways, runs = (SNR_DB[::5], 2, 4) if config.quick else (SNR_DB, 4, config.runs)
     scenes = recordings(config.out, 0.27, snr_db, ways=ways, talker=config.talker)
-    file = StudyFile(scenes=[*scenes], trackers=trackers(MODELS), metrics=METRICS, runs=runs)
-    name = f"figure6-{config.talker}{'-quick' if config.quick else ''}"
+    file = StudyFile(
+        scenes=[*scenes], trackers=trackers(MODELS, vad_threshold=config.vad_threshold), metrics=METRICS, runs=runs
+    )
+    name = f"figure6-{config.talker}-{config.vad_threshold:g}dB{'-quick' if config.quick else ''}"
     with Store(done(file, config.out / f"{name}.sqlite", config.workers)) as store:
         plot_study(store, config.out / f"{name}.png", x="snr_db", metrics=["rmse", "track_loss"])
         table = tabulate(store, rows=["tracker"], columns=["snr_db"], metrics=["rmse", "track_loss"])

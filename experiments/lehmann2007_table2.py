@@ -61,6 +61,7 @@ class Config:
     """Track every recording 60 times with each model."""
 
     talker: Talker = "natural"
+    vad_threshold: float = 8.0  # level over the noise that is taken for speech [dB]; S1 does not say its detector's
     runs: int = 60
     workers: int = 2
     quick: bool = False  # two recordings of two conditions, 4 runs
@@ -71,8 +72,10 @@ def main(config: Config) -> StudyTable:
     """Do the study, print its table and return it."""
     snr_db, t60, ways, runs = (SNR_DB[-2:], T60[:1], 2, 4) if config.quick else (SNR_DB, T60, 5, config.runs)
     scenes = [one for t in t60 for one in recordings(config.out, t, snr_db, ways=ways, talker=config.talker)]
-    file = StudyFile(scenes=[*scenes], trackers=trackers(MODELS), metrics=METRICS, runs=runs)
-    name = f"table2-{config.talker}{'-quick' if config.quick else ''}.sqlite"
+    file = StudyFile(
+        scenes=[*scenes], trackers=trackers(MODELS, vad_threshold=config.vad_threshold), metrics=METRICS, runs=runs
+    )
+    name = f"table2-{config.talker}-{config.vad_threshold:g}dB{'-quick' if config.quick else ''}.sqlite"
     with Store(done(file, config.out / name, config.workers)) as store:
         table = tabulate(store, rows=["tracker"], columns=["snr_db", "t60"], metrics=["rmse", "track_loss"])
     print(beside(table))
