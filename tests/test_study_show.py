@@ -41,6 +41,8 @@ def test_markdown_has_the_shape_of_table_2(study, capsys):
     assert re.fullmatch(rf"\| soft \| rmse \[m\] \| {figure} \|", lines[2])
     assert re.fullmatch(r"\|  \| track_loss \[%\] \| 25\.0 \[\S+, \S+\] \| 25\.0 \[\S+, \S+\] \|", lines[3])
     assert lines[4].startswith("| loud | rmse [m] | 0.144")
+    low, high = re.search(r"\[(\d\S+), (\S+)\]", lines[2]).groups()
+    assert float(low) < 0.344 < float(high)
     assert lines[-4:] == [
         f"- {study}: 6 of 6 cells finished",
         "- everywhere: T60 0.27 s",

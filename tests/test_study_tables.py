@@ -76,6 +76,13 @@ def test_what_a_run_takes(study):
     assert np.isnan(found.low).all()
 
 
+def test_what_a_run_takes_is_of_finished_runs(tmp_path):
+    path = write_study(tmp_path / "s.sqlite", finished=3)
+    found = table(path, metrics=["seconds", "real_time_factor"])
+    np.testing.assert_allclose(found.value[0], [[0.5, 0.25]] * 2)
+    assert np.isnan(found.value[1, 0]).all()
+
+
 def test_run_without_anything_to_judge_does_not_count(tmp_path):
     scores = (lambda _settings, _scene, run: (0.0, 0.0) if run == 1 else (run * 2.0, 2.0),)
     path = write_study(tmp_path / "s.sqlite", metrics=[("rmse", "m")], scores=scores)
