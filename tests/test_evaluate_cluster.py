@@ -14,6 +14,7 @@ from study_scenes import CELLS, claimed, failures, numbers, same, write_recordin
 from probtrack.cli.main import main
 from probtrack.errors import InputError
 from probtrack.evaluation import Store, cluster, evaluate, load_study
+from probtrack.evaluation.cell import versions
 
 pytest.importorskip("distributed")
 
@@ -132,6 +133,30 @@ def test_an_address_without_a_scheduler_is_said_within_seconds(study, tmp_path, 
     assert len(said) == 1
     assert said[0].startswith(f"probtrack evaluate: error: --scheduler {address}: ")
     assert words in said[0]
+
+
+class Failed:
+    """A future of a cell that came to nothing."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def result(self):
+        raise self.error
+
+
+def test_a_cell_that_kills_workers_or_that_they_cannot_do_fails_alone(study):
+    from distributed import KilledWorker
+
+    killed = cluster._outcome(Failed(KilledWorker("task", None, 3)), study.cells[1])
+    assert killed == "A(num_particles=65) on near: 4 workers died of it, perhaps for want of memory"
+    unknown = cluster._outcome(Failed(ModuleNotFoundError("No module\nnamed 'mine'")), study.cells[0])
+    assert unknown.endswith(" on near: a worker cannot do it: ModuleNotFoundError: No module named 'mine'")
+
+
+def test_workers_of_other_versions_are_refused(study):
+    outcome = cluster._attempt(study.cells[0], torch.float32, {**versions(), "torch": "1.0"})
+    assert "a worker has other versions: torch is '1.0' there and " in outcome
 
 
 def test_without_distributed_the_install_line_is_said(study, tmp_path, monkeypatch, capsys):

@@ -5,7 +5,7 @@ import itertools
 import logging
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -98,7 +98,8 @@ def _outcome(future: Any, cell: Cell) -> CellScores | str:
 def _workers(scheduler: str) -> int:
     """Return how many workers a scheduler has, or raise `InputError` if none answers."""
     try:
-        return asyncio.run(_asked(scheduler))
+        with ThreadPoolExecutor(1) as beside:  # notebooks have a loop of their own in this thread
+            return beside.submit(asyncio.run, _asked(scheduler)).result()
     except Exception as error:  # whatever a stranger at that address may answer
         what = str(error) if isinstance(error, ValueError) else f"no Dask scheduler answers within {_ANSWER:g} s"
         raise InputError(f"--scheduler {scheduler}: {what}") from None
