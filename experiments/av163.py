@@ -10,6 +10,7 @@ many frames are locked, and whether seeds agree within the spread that each of t
 import os
 import shutil
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,7 +19,6 @@ from experiments.monte_carlo import done, trackers
 from probtrack.dynamics import Lehmann2007Model
 from probtrack.errors import InputError
 from probtrack.evaluation import Scenes, Store, StudyFile
-from probtrack.evaluation.rendering import as_markdown
 from probtrack.evaluation.tables import StudyTable, tabulate
 from probtrack.geometry import shipped_arrays
 from probtrack.trackers.lehmann2007 import Model, learned_models
@@ -62,8 +62,24 @@ def main(config: Config) -> StudyTable:
     )
     with Store(done(file, config.out / f"study{'-quick' if config.quick else ''}.sqlite", config.workers)) as store:
         table = tabulate(store, rows=["num_particles", "keep_out", "tracker"], over="runs")
-    print(as_markdown(table))
+    print(in_degrees(table))
     return table
+
+
+def in_degrees(table: StudyTable) -> str:
+    """Return the table in Markdown, a row a tracker, angles in degrees."""
+    heads = [*table.rows[0], *(f"{name} [{'°' if unit == 'rad' else unit}]" for name, unit in table.metrics.items())]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for i, row in enumerate(table.rows):
+        cells = [str(value) for value in row.values()]
+        for j, unit in enumerate(table.metrics.values()):
+            value, low, high = (
+                x[i, 0, j] * (180 / pi if unit == "rad" else 1) for x in (table.value, table.low, table.high)
+            )
+            digits = 2 if unit == "m" else 1
+            cells.append(f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def scene(config: Config) -> Path:
