@@ -1,7 +1,8 @@
 """Does the tracker hold a real talker, whatever the seed? The AV16.3 recording, all models, 50 seeds: a study.
 
 python -m experiments.av163 --workers 2
-python -m experiments.av163 --num_particles '[75]' --keep_out '[0.0]'
+python -m experiments.av163 --num_particles '[75]' --keep_out '[0.0]' --learned false --name keep-out
+python -m experiments.av163 --models '["CU-LAN"]' --vad_threshold '[2.0, 4.0, 8.0]' --learned false --name detector
 
 There is no truth for this recording: what can be asked is whether azimuth runs smoothly while the talker speaks, how
 many frames are locked, and whether seeds agree within the spread that each of them states.
@@ -25,6 +26,7 @@ from probtrack.trackers.lehmann2007 import Model, learned_models
 
 RECORDING = "recordings/seq11-1p-0100_array1_8ch.flac"
 SPEAKING = {"begin": 6.1, "end": 29.5}  # s: from half a second after the first word, when a track must be locked
+BEFORE = {"begin": 0.0, "end": 5.5}  # s: chairs and clicks, but no word
 NAMES = (
     "azimuth_jumps", "largest_jump", "locked", "azimuth_spread", "azimuth_disagreement", "position_spread",
     "position_disagreement",
@@ -40,9 +42,11 @@ class Config:
     learned: bool = True  # the models that have learned parameters with these too
     num_particles: tuple[int, ...] = (75, 500)
     keep_out: tuple[float, ...] = (0.2,)  # m
+    vad_threshold: tuple[float, ...] = (8.0,)  # dB
     runs: int = 50
     workers: int = 2
     quick: bool = False  # two models, 75 particles, 4 runs
+    name: str = "study"  # of the store
     out: Path = Path("build/av163")  # folder of the scene and of the store
 
 
@@ -55,13 +59,22 @@ def main(config: Config) -> StudyTable:
     file = StudyFile(
         scenes=[Scenes(str(scene(config).resolve()))],
         trackers=compared,
-        vary={"num_particles": [75] if config.quick else [*config.num_particles], "keep_out": [*config.keep_out]},
-        metrics=[{"class_path": name, "init_args": SPEAKING} for name in NAMES],
+        vary={
+            "num_particles": [75] if config.quick else [*config.num_particles],
+            "keep_out": [*config.keep_out],
+            "vad_threshold": [*config.vad_threshold],
+        },
+        metrics=[
+            *({"class_path": name, "init_args": SPEAKING} for name in NAMES),
+            {"class_path": "azimuth_spread", "init_args": BEFORE, "name": "azimuth_spread_before"},
+        ],
         runs=4 if config.quick else config.runs,
         start="anywhere",
     )
-    with Store(done(file, config.out / f"study{'-quick' if config.quick else ''}.sqlite", config.workers)) as store:
-        table = tabulate(store, rows=["num_particles", "keep_out", "tracker"], over="runs")
+    with Store(
+        done(file, config.out / f"{config.name}{'-quick' if config.quick else ''}.sqlite", config.workers)
+    ) as store:
+        table = tabulate(store, rows=["num_particles", "keep_out", "vad_threshold", "tracker"], over="runs")
     print(in_degrees(table))
     return table
 
