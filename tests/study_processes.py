@@ -67,15 +67,16 @@ def running(pid):
     return True
 
 
-def children(pid):
-    """Return the numbers of the processes that `pid` began."""
-    found = []
-    for name in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{name}/stat", encoding="utf-8") as file:
-                parent = int(file.read().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if parent == pid:
-            found.append(int(name))
-    return found
+def parent(pid):
+    """Return the number of the process that began `pid`; None if there is no such process."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            return int(file.read().rpartition(")")[2].split()[1])
+    except OSError:
+        return None
+
+
+def descendants(pid):
+    """Return the numbers of the processes that `pid` began, and that those began."""
+    begun = {int(name) for name in os.listdir("/proc") if name.isdigit() and parent(name) == pid}
+    return begun.union(*map(descendants, begun))

@@ -9,13 +9,13 @@ import time
 import numpy as np
 import pytest
 import torch
-from study_processes import children, finished, running, wait_until
+from study_processes import descendants, finished, running, wait_until
 from study_processes import start as start
 from study_scenes import CELLS, STUDY, claimed, failures, numbers, same, write_recordings, write_study
 
 from probtrack.cli.main import main
 from probtrack.errors import InputError
-from probtrack.evaluation import Store, cell, evaluate, load_study
+from probtrack.evaluation import Store, cell, evaluate, execution, load_study
 from probtrack.metrics import RootMeanSquareError, Talkers
 from probtrack.simulation import SceneFolder
 from probtrack.trackers import lehmann2007
@@ -104,13 +104,18 @@ def test_more_runs_than_the_memory_holds_are_refused_before_the_work(study, monk
         study.cells[0].scores()
 
 
-def test_a_call_that_is_interrupted_lets_go_of_its_cells_and_is_gone_on_with(study, undisturbed, tmp_path):
-    def interrupt(progress):
-        if progress.done == 3:
-            raise KeyboardInterrupt
+def test_a_call_that_is_interrupted_lets_go_of_its_cells_and_is_gone_on_with(study, undisturbed, tmp_path, monkeypatch):
+    todo = iter(range(3))
 
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(study, tmp_path / "s.sqlite", on_progress=interrupt)
+    def interrupted(one):
+        if next(todo, None) is None:
+            raise KeyboardInterrupt
+        return one.scores()
+
+    with monkeypatch.context() as patched:
+        patched.setattr(execution, "attempt", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            evaluate(study, tmp_path / "s.sqlite")
     assert finished(tmp_path / "s.sqlite") == 3
     assert claimed(tmp_path / "s.sqlite") == []
     before = []
@@ -186,7 +191,7 @@ def test_workers_of_a_killed_process_end_too(start, folder, undisturbed, tmp_pat
     path, study = tmp_path / "s.sqlite", write_study(folder)
     process = start("evaluate", study, "-o", str(path), "--workers", "2")
     wait_until(lambda: finished(path) >= 2)
-    workers = children(process.pid)
+    workers = descendants(process.pid)
     process.kill()
     process.join()
     assert len(workers) >= 2

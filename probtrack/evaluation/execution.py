@@ -1,6 +1,7 @@
 """Who works on the cells of a study: this process, or several of this machine."""
 
 import os
+import pickle
 import signal
 import threading
 import traceback
@@ -54,7 +55,8 @@ def in_processes(claims: Claims, workers: int) -> Iterator[Finished]:
         pending: dict[Future[CellScores | str], int] = {}
         while True:
             for number, cell in islice(claims, workers - len(pending)):
-                pending[pool.submit(attempt, cell)] = number
+                # as bytes: torch would send the tensors of metrics as open files, which end with us
+                pending[pool.submit(_attempt_pickled, pickle.dumps(cell))] = number
             if not pending:
                 return
             done = wait(pending, return_when=FIRST_COMPLETED).done
@@ -84,6 +86,10 @@ def attempt(cell: Cell) -> CellScores | str:
     except Exception as error:
         what = _defect(error)
     return " ".join(f"{cell.key}: {what}".split())
+
+
+def _attempt_pickled(cell: bytes) -> CellScores | str:
+    return attempt(pickle.loads(cell))
 
 
 def _defect(error: Exception) -> str:
