@@ -139,7 +139,7 @@ def test_a_released_cell_is_claimed_again_and_a_finished_one_is_not(path):
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_scores_that_are_not_finite_are_refused_and_nothing_of_them_is_kept(path, bad):
     with Store(path, write=True) as store:
-        with pytest.raises(NotFiniteError, match="scores of rmse must be finite"):
+        with pytest.raises(NotFiniteError, match="rmse is not finite in run"):
             store.save(1, scores(bad))
         assert store.progress == (0, 0)
         assert len(store.scores("lost").run) == 0

@@ -8,7 +8,7 @@ import pytest
 from stored_studies import RUNS, SCENES, rmse, save, write_study
 
 from probtrack.errors import InputError
-from probtrack.evaluation import Store, tabulate
+from probtrack.evaluation import CellScores, PlannedCell, PlannedScene, Store, tabulate
 from probtrack.metrics import bootstrap_interval
 
 
@@ -194,3 +194,23 @@ def test_scenes_of_a_group_are_counted_once(tmp_path):
 def test_reading_does_without_torch():
     code = "import sys, probtrack.cli.study, probtrack.evaluation.rendering as r; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_recordings_of_one_scene_are_one_draw_of_a_scene(tmp_path):
+    scenes = [
+        PlannedScene(f"{way}_{snr}dB", f"{way}{snr}", {"snr_db": snr}, range(3), origin=f"way {way}")
+        for way in range(4)
+        for snr in (5, 20)
+    ]
+    cells = [PlannedCell(f"a on {one.name}", one.name, {"tracker": "a"}, 3) for one in scenes]
+    with Store.create(tmp_path / "s.sqlite", {}, scenes, [("rmse", "m")], cells) as store:
+        for number in range(8):
+            value = np.full((1, 3), float(number // 2))
+            store.save(number + 1, CellScores(value, np.ones((1, 3)), 1.0, 8.0))
+        made = tabulate(store, columns=[], rows=["tracker"])
+    # eight recordings of four ways say no more than four
+    alone = bootstrap_interval(np.arange(4.0)[:, None], np.ones((4, 1)), over="scenes")
+    assert made.scenes.item() == 4
+    assert made.low.item() == pytest.approx(alone.low)
+    assert made.high.item() == pytest.approx(alone.high)
+    assert made.averaged == {"snr_db": [5, 20]}

@@ -25,7 +25,7 @@ class Groups:
     Attributes:
         rows: Different combinations of values along rows, L of them.
         columns: Those along columns, C of them.
-        scenes: Recordings with finished runs in each group (G,).
+        scenes: Scenes with finished runs in each group (G,); recordings of one origin are one scene.
         runs: Finished runs in each group (G,).
         planned: Runs that each group is to have (G,).
     """
@@ -35,7 +35,7 @@ class Groups:
         (self.rows, row), (self.columns, column) = (_combinations(values, names) for names in (rows, columns))
         self._group = row * len(self.columns) + column
         self._id = np.array([cell.id for cell in cells])  # in order
-        self._scene = np.unique([cell.scene for cell in cells], return_inverse=True)[1]
+        self._scene = np.unique([cell.origin for cell in cells], return_inverse=True)[1]
         runs = np.array([cell.runs for cell in cells])
         self._done = done = np.array([cell.finished is not None for cell in cells])
         self._seconds = np.array([cell.seconds or 0.0 for cell in cells]) * done
@@ -56,7 +56,8 @@ class Groups:
     def arrays(self, scores: Scores, over: Over) -> tuple[Numbers, Numbers]:
         """Return numerators and denominators (G, S, R), NaN where a group has less than others.
 
-        S are recordings; with `over="runs"` it is cells, since what was put together is not to be mixed.
+        S are scenes, with all their recordings: those at other levels of noise are no new draw of a scene. With
+        `over="runs"` it is cells, since what was put together is not to be mixed.
         """
         cells, begins, runs = np.unique(scores.cell, return_index=True, return_counts=True)
         cell = np.searchsorted(self._id, cells)

@@ -56,6 +56,11 @@ class Recording:
             digest.update(path.read_bytes() if path.exists() else b"none")
         return digest.hexdigest()[:16]
 
+    def origin(self) -> str | None:
+        """Return what it shares with recordings of the same talkers on the same ways at other levels of noise."""
+        path = self.folder / TRUTH
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.exists() else None
+
 
 def recordings(scenes: Scenes, base: Path) -> Iterator[Recording]:
     """Yield the recordings that `scenes` names, from the folder `base` of the study file.

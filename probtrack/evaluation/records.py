@@ -15,12 +15,15 @@ class PlannedScene(NamedTuple):
         fingerprint: What tells its files from others of the same name.
         conditions: What is varied between recordings, by name, such as `snr_db` and `t60`.
         seeds: Of the runs on it.
+        origin: What it shares with other recordings of one scene, such as those at other levels of noise: together
+            they are one draw from all scenes there could be. Its name if it is None.
     """
 
     name: str
     fingerprint: str
     conditions: dict[str, Any]
     seeds: Sequence[int]
+    origin: str | None = None
 
 
 class PlannedCell(NamedTuple):
@@ -48,6 +51,7 @@ class StoredCell(NamedTuple):
         scene: Name of its recording.
         settings: The tracker's name as `tracker`, and what is varied of its settings, by name.
         conditions: What is varied between recordings, by name.
+        origin: What its recording shares with others of the same scene.
         runs: Monte-Carlo runs.
         finished: When it was finished [s since 1970]; None before.
         seconds: What it took [s of one processor].
@@ -60,6 +64,7 @@ class StoredCell(NamedTuple):
     scene: str
     settings: dict[str, Any]
     conditions: dict[str, Any]
+    origin: str
     runs: int
     finished: float | None
     seconds: float | None

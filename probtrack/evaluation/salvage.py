@@ -80,22 +80,24 @@ def salvage(path: str | Path) -> Runs:
 
 
 class _Scenes:
-    """Conditions and seeds of recordings, read once; empty where they cannot be."""
+    """What is known of recordings, read once; empty where it cannot be read."""
 
     def __init__(self, db: sqlite3.Connection) -> None:
         self._db = db
-        self._conditions: dict[str, dict[str, Any]] = {}
+        self._planned: dict[str, tuple[dict[str, Any], str]] = {}
 
-    def conditions(self, name: str) -> dict[str, Any]:
-        if name not in self._conditions:
-            self._conditions[name] = {}
-            row = _row(self._db, "SELECT * FROM scene WHERE name = ?", (name,))
+    def planned(self, name: str) -> tuple[dict[str, Any], str]:
+        """Return conditions and origin."""
+        if name not in self._planned:
+            self._planned[name] = {}, name
+            query = "SELECT name, fingerprint, conditions, origin, checksum FROM scene WHERE name = ?"
+            row = _row(self._db, query, (name,))
             if row is not None:
                 *planned, checksum = row
                 with suppress(*_UNREADABLE):
                     check_unchanged(checksum, *planned)
-                    self._conditions[name] = json.loads(planned[2])
-        return self._conditions[name]
+                    self._planned[name] = json.loads(planned[2]), planned[3]
+        return self._planned[name]
 
     def seeds(self, name: str) -> list[int]:
         with suppress(*_UNREADABLE):
@@ -112,7 +114,7 @@ def _cell(db: sqlite3.Connection, number: int, scenes: _Scenes) -> StoredCell | 
     with suppress(*_UNREADABLE):
         check_unchanged(checksum, *planned)
         done = db.execute("SELECT finished, seconds, duration, failure FROM cell WHERE id = ?", (number,)).fetchone()
-        return StoredCell(number, key, scene, json.loads(settings), scenes.conditions(scene), runs, *done)
+        return StoredCell(number, key, scene, json.loads(settings), *scenes.planned(scene), runs, *done)
     return None
 
 

@@ -89,8 +89,10 @@ class Store:
                     meta["cells"] = str(len(cells))  # so that a damaged file can say what is missing
                     db.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
                     db.executemany(
-                        "INSERT INTO scene VALUES (?, ?, ?, ?)",
-                        _with_checksums((s.name, s.fingerprint, json.dumps(s.conditions)) for s in scenes),
+                        "INSERT INTO scene VALUES (?, ?, ?, ?, ?)",
+                        _with_checksums(
+                            (s.name, s.fingerprint, json.dumps(s.conditions), s.origin or s.name) for s in scenes
+                        ),
                     )
                     rows = ((one.name, run, seed) for one in scenes for run, seed in enumerate(one.seeds))
                     db.executemany("INSERT INTO seed VALUES (?, ?, ?)", rows)
@@ -143,13 +145,13 @@ class Store:
         parsed = cache(json.loads)  # many cells have the same settings
         cells = []
         with self._said():
-            conditions = self._conditions()
+            scenes = self._scenes()
             rows = self._db.execute(f"SELECT {columns} FROM cell ORDER BY id")
             for i, key, scene, settings, runs, checksum, *rest in rows:
                 check_unchanged(checksum, key, scene, settings, runs)
-                if scene not in conditions:
+                if scene not in scenes:
                     raise sqlite3.DatabaseError(f"scene {scene} is malformed")
-                cells.append(StoredCell(i, key, scene, parsed(settings), conditions[scene], runs, *rest))
+                cells.append(StoredCell(i, key, scene, parsed(settings), *scenes[scene], runs, *rest))
         return cells
 
     @property
@@ -218,7 +220,9 @@ class Store:
         pairs = list(zip(scores.numerator, scores.denominator, strict=True))
         for metric, pair in zip(self.metrics, pairs, strict=True):
             if not np.isfinite(pair).all():
-                raise NotFiniteError(f"scores of {metric} must be finite, got {pair[0]} over {pair[1]} in cell {cell}")
+                bad = np.array(pair)
+                run = int((~np.isfinite(bad)).any(0).argmax())
+                raise NotFiniteError(f"{metric} is not finite in run {run}: {bad[0, run]:g} over {bad[1, run]:g}")
         rows = [packed(metric, cell, *pair) for metric, pair in enumerate(pairs, start=1)]
         done = (time.time(), scores.seconds, scores.duration, cell)
         with self._said(), self._transaction():
@@ -271,12 +275,14 @@ class Store:
             self._db.rollback()
             raise
 
-    def _conditions(self) -> dict[str, dict[str, Any]]:
-        conditions = {}
-        for name, fingerprint, content, checksum in self._db.execute("SELECT * FROM scene"):
-            check_unchanged(checksum, name, fingerprint, content)
-            conditions[name] = json.loads(content)
-        return conditions
+    def _scenes(self) -> dict[str, tuple[dict[str, Any], str]]:
+        """Return conditions and origin of each recording by name."""
+        scenes = {}
+        query = "SELECT name, fingerprint, conditions, origin, checksum FROM scene"
+        for name, fingerprint, conditions, origin, checksum in self._db.execute(query):
+            check_unchanged(checksum, name, fingerprint, conditions, origin)
+            scenes[name] = json.loads(conditions), origin
+        return scenes
 
     def _said(self) -> Any:
         return in_one_line(self.path)

@@ -162,7 +162,9 @@ def plan(file: StudyFile, base: Path) -> Study:
         for one in found
         for settings, make, arguments in made
     )
-    scenes = tuple(PlannedScene(one.name, one.fingerprint(), one.conditions, seeds[one.name]) for one in found)
+    scenes = tuple(
+        PlannedScene(one.name, one.fingerprint(), one.conditions, seeds[one.name], one.origin()) for one in found
+    )
     config = {name: value for name, value in asdict(file).items() if name != "scenes"}
     dtype = str(torch.get_default_dtype()).removeprefix("torch.")
     config |= {"files": inputs, "made_with": versions(), "dtype": dtype}
