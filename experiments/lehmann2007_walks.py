@@ -1,0 +1,67 @@
+"""Which of S1's differences between models are no accident? Its six models on 20 walks instead of 5 ways.
+
+python -m experiments.lehmann2007_walks --workers 2
+
+The walks of `walks-test` (people who walk by social forces, pause and look about, at both reverberation times and four
+levels of noise) with 10 runs each. Prints the models' figures, and how far CU-LAN is from every other, paired by
+walk and seed: five ways cannot show a difference at the 5 % level, twenty can.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.command import run
+from experiments.fit_scenes import data_set
+from experiments.lehmann2007_recordings import MODELS
+from experiments.monte_carlo import METRICS, done, trackers
+from probtrack.evaluation import Scenes, Store, StudyFile, compare
+from probtrack.evaluation.pairing import Side
+from probtrack.evaluation.rendering import as_markdown
+from probtrack.evaluation.tables import StudyTable, tabulate
+
+
+@dataclass(frozen=True)
+class Config:
+    """Track every walk 10 times with each model."""
+
+    vad_threshold: float = 2.0  # level over the noise that is taken for speech [dB]
+    runs: int = 10
+    workers: int = 2
+    quick: bool = False  # two walks, 2 runs
+    data: Path = Path("build/fit_scenes/data")  # folder of the data set, simulated if it is not there
+    out: Path = Path("build/lehmann2007")  # folder of the store
+
+
+def main(config: Config) -> StudyTable:
+    """Do the study, print its table and the comparisons, and return the table."""
+    folders = data_set("walks-test", config.data, quick=config.quick)
+    file = StudyFile(
+        scenes=[Scenes(str(folder.path.resolve()), f"walks-test/{folder.path.name}") for folder in folders],
+        trackers=trackers(MODELS, vad_threshold=config.vad_threshold),
+        metrics=METRICS,
+        runs=2 if config.quick else config.runs,
+    )
+    path = config.out / f"walks-{config.vad_threshold:g}dB{'-quick' if config.quick else ''}.sqlite"
+    with Store(done(file, path, config.workers)) as store:
+        table = tabulate(store, rows=["tracker"], columns=["snr_db"], metrics=["rmse", "track_loss"])
+        print(as_markdown(table))
+        print("\n| CU-LAN less | RMSE [m] | p | track loss [%] | p |\n|---|---|---|---|---|")
+        for model in MODELS:
+            if model != "CU-LAN":
+                print(differences(store, model))
+    return table
+
+
+def differences(store: Store, model: str) -> str:
+    """Return how far CU-LAN is above another model, with p-values adjusted for both figures."""
+    sides = Side(store, ["tracker=CU-LAN"], "CU-LAN"), Side(store, [f"tracker={model}"], model)
+    found = compare(*sides, metrics=["rmse", "track_loss"])
+    cells = [model]
+    for j, digits in enumerate((3, 1)):
+        ends = f"[{found.low[0, j]:+.{digits}f}, {found.high[0, j]:+.{digits}f}]"
+        cells += [f"{found.difference[0, j]:+.{digits}f} {ends}", f"{found.adjusted[0, j]:.2g}"]
+    return "| " + " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    run(main, Config)
