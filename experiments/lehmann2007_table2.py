@@ -10,6 +10,8 @@ figure with its interval and S1's own.
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from experiments.command import run
 from experiments.lehmann2007_recordings import MODELS, Talker, recordings
 from experiments.monte_carlo import METRICS, done, trackers
@@ -79,7 +81,14 @@ def main(config: Config) -> StudyTable:
     with Store(done(file, config.out / name, config.workers)) as store:
         table = tabulate(store, rows=["tracker"], columns=["snr_db", "t60"], metrics=["rmse", "track_loss"])
     print(beside(table))
+    print(f"\nS1's figure lies in {agreeing(table)} of {table.value.size} intervals")
     return table
+
+
+def agreeing(table: StudyTable) -> int:
+    """Return how many of S1's figures lie in the interval of ours."""
+    printed = np.array([[PRINTED[c["snr_db"], c["t60"]][row["tracker"]] for c in table.columns] for row in table.rows])
+    return int(((table.low <= printed) & (printed <= table.high)).sum())
 
 
 def beside(table: StudyTable) -> str:
