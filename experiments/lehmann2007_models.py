@@ -5,7 +5,7 @@ python -m experiments.lehmann2007_models --talkers '["natural", "continuous"]' -
 
 The ten models with the values of Table 1, those that have learned values with these too, and the chains of section 3.3
 that S1 did not pursue, at both reverberation times and 20 dB. Prints a table, and the difference of every tracker from
-the first with its significance, paired by recording and seed.
+the first on these recordings with its significance, paired by recording and seed.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from experiments.command import run
 from experiments.lehmann2007_recordings import Talker, recordings
-from experiments.monte_carlo import METRICS, done, trackers
+from experiments.monte_carlo import METRICS, differences, done, trackers
 from probtrack.dynamics import Lehmann2007Model
 from probtrack.evaluation import Store, StudyFile
 from probtrack.evaluation.rendering import as_markdown
@@ -52,9 +52,11 @@ def main(config: Config) -> StudyTable:
     ]
     file = StudyFile(scenes=[*scenes], trackers=compared(config), metrics=METRICS, runs=runs)
     store = config.out / f"{config.name}{'-quick' if config.quick else ''}.sqlite"
+    first, *others = file.trackers
     with Store(done(file, store, config.workers)) as study:
         table = tabulate(study, rows=["tracker"], columns=["talker", "t60"], metrics=METRICS)
-    print(as_markdown(table))
+        print(as_markdown(table))
+        print(f"\n{differences(study, first, others, 'runs')}")
     return table
 
 

@@ -13,9 +13,8 @@ from pathlib import Path
 from experiments.command import run
 from experiments.fit_scenes import data_set
 from experiments.lehmann2007_recordings import MODELS
-from experiments.monte_carlo import METRICS, done, trackers
-from probtrack.evaluation import Scenes, Store, StudyFile, compare
-from probtrack.evaluation.pairing import Side
+from experiments.monte_carlo import METRICS, differences, done, trackers
+from probtrack.evaluation import Scenes, Store, StudyFile
 from probtrack.evaluation.rendering import as_markdown
 from probtrack.evaluation.tables import StudyTable, tabulate
 
@@ -45,22 +44,9 @@ def main(config: Config) -> StudyTable:
     with Store(done(file, path, config.workers)) as store:
         table = tabulate(store, rows=["tracker"], columns=["snr_db"], metrics=["rmse", "track_loss"])
         print(as_markdown(table))
-        print("\n| CU-LAN less | RMSE [m] | p | track loss [%] | p |\n|---|---|---|---|---|")
-        for model in MODELS:
-            if model != "CU-LAN":
-                print(differences(store, model))
+        others = [model for model in MODELS if model != "CU-LAN"]
+        print(f"\n{differences(store, 'CU-LAN', others, 'scenes')}")
     return table
-
-
-def differences(store: Store, model: str) -> str:
-    """Return how far CU-LAN is above another model, with p-values adjusted for both figures."""
-    sides = Side(store, ["tracker=CU-LAN"], "CU-LAN"), Side(store, [f"tracker={model}"], model)
-    found = compare(*sides, metrics=["rmse", "track_loss"])
-    cells = [model]
-    for j, digits in enumerate((3, 1)):
-        ends = f"[{found.low[0, j]:+.{digits}f}, {found.high[0, j]:+.{digits}f}]"
-        cells += [f"{found.difference[0, j]:+.{digits}f} {ends}", f"{found.adjusted[0, j]:.2g}"]
-    return "| " + " | ".join(cells) + " |"
 
 
 if __name__ == "__main__":
