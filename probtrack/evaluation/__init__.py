@@ -4,7 +4,7 @@ What needs torch is imported when it is first named: tables and pictures of a fi
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from probtrack.evaluation.comparison import Comparison as Comparison
 from probtrack.evaluation.comparison import compare as compare
@@ -39,7 +39,7 @@ _WITH_TORCH = {
 }  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _WITH_TORCH:
         return getattr(importlib.import_module(f"probtrack.evaluation.{_WITH_TORCH[name]}"), name)
     raise AttributeError(f"module 'probtrack.evaluation' has no attribute {name!r}")

@@ -5,7 +5,7 @@ without it, and `score` does without torchmetrics.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from probtrack.metrics.bootstrap import Interval as Interval
 from probtrack.metrics.bootstrap import PairedDifference as PairedDifference
@@ -110,7 +110,7 @@ _FILES = {
 _LATER = {name: file for file, names in _FILES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _LATER:
         raise AttributeError(f"module 'probtrack.metrics' has no attribute {name!r}")
     globals()[name] = found = getattr(importlib.import_module(f"probtrack.metrics.{_LATER[name]}"), name)

@@ -4,7 +4,7 @@ What needs Lightning (extra `train`) is imported when it is first named.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from probtrack.parameters import physical as physical
 from probtrack.parameters import physical_summary as physical_summary
@@ -64,7 +64,7 @@ _LIGHTNING = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _LIGHTNING:
         return getattr(importlib.import_module(f"probtrack.training.{_LIGHTNING[name]}"), name)
     if name == "bayesian":  # loads pyro's inference
