@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from probtrack.errors import InputError, NotFiniteError, ShapeError
-from probtrack.metrics import bootstrap_interval, paired_difference
+from probtrack.metrics import bootstrap, bootstrap_interval, paired_difference
+from probtrack.metrics.small_samples import expanded_tail, student_quantile
 
 STUDIES = 3000
 
@@ -27,32 +28,59 @@ def share_inside(interval, truth):
 
 def test_interval_over_runs_holds_the_mean_of_these_scenes():
     of_scenes, values = studies(3, 30)
-    interval = bootstrap_interval(values, np.ones_like(values), over="runs")
-    # normal means: the resampled variance is short by 29/30, and is itself an estimate of 87 degrees of freedom
-    expected = 1 - 2 * stats.t(87).sf(1.96 * math.sqrt(29 / 30))
-    assert abs(share_inside(interval, of_scenes.mean((1, 2))) - expected) < 5 * math.sqrt(0.06 * 0.94 / STUDIES)
+    interval = bootstrap_interval(values, np.ones_like(values), over="runs", replicates=1000)
+    assert abs(share_inside(interval, of_scenes.mean((1, 2))) - 0.95) < 5 * math.sqrt(0.05 * 0.95 / STUDIES)
 
 
-def test_interval_over_scenes_holds_the_mean_of_all_scenes():
-    scenes, runs = 20, 6
-    _, values = studies(scenes, runs)
-    interval = bootstrap_interval(values, np.ones_like(values), over="scenes")
-    true = 1 + 0.25 / runs
-    drawn = true * (scenes - 1) / scenes + 0.25 * (runs - 1) / runs**2
-    expected = 1 - 2 * stats.t(scenes - 1).sf(1.96 * math.sqrt(drawn / true))
-    assert abs(share_inside(interval, 0.0) - expected) < 5 * math.sqrt(0.07 * 0.93 / STUDIES)
+@pytest.mark.parametrize(("scenes", "bias"), [(5, 0.02), (20, 0.01)])
+@pytest.mark.parametrize("level", [0.8, 0.95])
+def test_interval_over_scenes_holds_the_mean_of_all_scenes_however_few(scenes, level, bias):
+    """Of one run each, so that nothing but scenes is drawn; resampled means of few have shorter tails than normal."""
+    _, values = studies(scenes, 1)
+    interval = bootstrap_interval(values, np.ones_like(values), over="scenes", replicates=1000, level=level)
+    assert abs(share_inside(interval, 0.0) - level) < bias + 5 * math.sqrt(level * (1 - level) / STUDIES)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 5, 8, 19, 60, 333, 4000, 100_001])
+def test_quantiles_of_student_are_scipys(freedom):
+    for level in (0.2, 0.95, 0.9999):
+        expected = stats.t(freedom).ppf((1 + level) / 2)
+        assert student_quantile(level, freedom) == pytest.approx(expected, rel=1e-9)
+
+
+def test_tail_is_hesterbergs_and_that_of_the_level_for_many():
+    assert expanded_tail(0.9, 7) == pytest.approx(stats.norm.cdf(math.sqrt(7 / 6) * stats.t(6).ppf(0.05)), rel=1e-9)
+    assert expanded_tail(0.9, 14, 3) == pytest.approx(stats.norm.cdf(math.sqrt(14 / 11) * stats.t(11).ppf(0.05)))
+    assert expanded_tail(0.9, 10**5) == pytest.approx(0.05, rel=1e-3)
+    assert 0 <= expanded_tail(0.95, 2) < 1e-60
 
 
 def test_width_over_scenes_is_that_of_both_levels_and_over_runs_of_one():
     scenes, runs = 12, 7
     _, values = studies(scenes, runs)
-    both, one = (bootstrap_interval(values, np.ones_like(values), over=over) for over in ("scenes", "runs"))
     between = (1 + 0.25 / runs) * (scenes - 1) / scenes**2
     within = 0.25 * (runs - 1) / runs / (scenes * runs)
-    for interval, variance in ((both, between + within), (one, within)):
+    for over, variance, strata, units in (
+        ("scenes", between + within, 1, scenes),
+        ("runs", within, scenes, scenes * runs),
+    ):
+        interval = bootstrap_interval(values, np.ones_like(values), over=over, replicates=1000)
         # squares of widths are chi-square about it; resampling 1000 times adds a few per cent to each, alike to all
-        mean = np.mean(((interval.high - interval.low) / (2 * stats.norm.ppf(0.975))) ** 2)
+        deviations = stats.norm.isf(expanded_tail(0.95, units, strata))
+        mean = np.mean(((interval.high - interval.low) / (2 * deviations)) ** 2)
         assert mean == pytest.approx(variance, rel=0.12)
+
+
+def test_resamples_in_pieces_are_resamples(monkeypatch):
+    _, values = studies(4, 9)
+    arguments = values[:50], np.ones_like(values[:50])
+    whole = bootstrap_interval(*arguments, over="scenes", level=0.5)
+    monkeypatch.setattr(bootstrap, "_AT_ONCE", 4 * 9 * 7)
+    pieces = bootstrap_interval(*arguments, over="scenes", level=0.5)
+    # a quartile of 4000 normal draws has a standard error of 0.022 of their deviation, 0.016 of the middle half
+    tolerance = 5 * math.sqrt(2) * 0.016 * (whole.high - whole.low)
+    assert (np.abs(np.subtract(whole, pieces)) < tolerance).all()
+    assert (whole.low != pieces.low).all()
 
 
 def test_interval_is_scipys_of_one_scene():
@@ -60,9 +88,10 @@ def test_interval_is_scipys_of_one_scene():
     count = rng.integers(1, 9, 25).astype(float)
     total = count * rng.gamma(2.0, 0.3, 25)
     mine = bootstrap_interval(total[None], count[None], over="runs", replicates=20_000, level=0.9)
+    same = 1 - 2 * expanded_tail(0.9, 25)
     theirs = stats.bootstrap(
         (total, count), lambda a, b, axis: a.sum(axis) / b.sum(axis), paired=True, vectorized=True,
-        n_resamples=20_000, confidence_level=0.9, method="percentile", rng=rng,
+        n_resamples=20_000, confidence_level=same, method="percentile", rng=rng,
     )  # fmt: skip
     # standard error of a 5 % quantile of 20 000 normal draws: 0.015 of their deviation, in both
     tolerance = 5 * math.sqrt(2) * 0.015 * theirs.standard_error

@@ -56,7 +56,7 @@ def test_interval_is_the_bootstrap_of_the_group_and_nan_without_two_scenes(study
 
 
 def test_wider_level_wider_interval(study):
-    narrow, wide = table(study, level=0.5), table(study, level=0.99)
+    narrow, wide = table(study, level=0.5, over="runs"), table(study, level=0.99, over="runs")
     assert (wide.high - wide.low)[0, 0, 0] > 1.5 * (narrow.high - narrow.low)[0, 0, 0]
 
 

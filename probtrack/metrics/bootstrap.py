@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probtrack.errors import InputError, NotFiniteError, ShapeError
+from probtrack.metrics.small_samples import expanded_tail
 
 Over = Literal["scenes", "runs"]
 Array = NDArray[np.float64]
 
 _ENUMERATED = 12  # units up to which all changes of sign are tried
+_AT_ONCE = 2**22  # counts of runs, or signs, held in memory
 
 
 class Interval(NamedTuple):
@@ -52,15 +54,17 @@ def bootstrap_interval(
     *,
     over: Over,
     level: float = 0.95,
-    replicates: int = 1000,
+    replicates: int = 4000,
     seed: int = 0,
 ) -> Interval:
-    r"""Return the percentile interval of the ratio of sums :math:`\sum_{sr} a_{sr} / \sum_{sr} n_{sr}`.
+    r"""Return the expanded percentile interval of the ratio of sums :math:`\sum_{sr} a_{sr} / \sum_{sr} n_{sr}`.
 
     Over "runs", runs are drawn again within the scenes that there are: what a repetition of the study would give. Over
-    "scenes", scenes are drawn again and runs within each that was drawn: what other scenes like these would give. From
-    a handful of scenes the latter is too narrow, by about :math:`\sqrt{1 - 1/S}` and by the tails of Student's t. It is
-    NaN of fewer than two scenes, the former where no scene has two runs.
+    "scenes", scenes are drawn again and runs within each that was drawn: what other scenes like these would give. The
+    quantiles of the resamples are further out than those of `level`, by what few units want: scenes, or runs within
+    scenes (`probtrack.metrics.small_samples.expanded_tail`). Of two or three scenes the interval is still too narrow,
+    since no resample is beyond the scenes that there are. It is NaN of fewer than two scenes, or where no scene has two
+    runs.
 
     Args:
         total: Numerator of each run (*groups, S, R), as metrics give it; NaN where there is no such run.
@@ -78,6 +82,8 @@ def bootstrap_interval(
     References:
         B. Efron, R. J. Tibshirani, "An introduction to the bootstrap", 1993, sections 13.3 (percentile interval) and
         8.3 (data of two levels).
+        T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4), 2015
+        (expanded percentile interval).
     """
     totals, counts = _checked(total, count)
     _check_settings(over, level, replicates)
@@ -88,12 +94,12 @@ def bootstrap_interval(
         sizes = there.sum(-1)
         if (over == "scenes" and (sizes > 0).sum() < 2) or sizes.max(initial=0) < 2 - (over == "scenes"):
             continue
-        drawn = _resampled(there, over, replicates, np.random.default_rng(seed))
-        kept = there.ravel()
-        sums, weights = (drawn[:, kept] @ x[members][:, kept].T for x in (totals, counts))
+        sums, weights = _resampled_sums(totals[members], counts[members], there, over, replicates, seed)
         with np.errstate(invalid="ignore", divide="ignore"):
             ratios = np.where(weights > 0, sums / weights, np.nan)
-        low[members], high[members] = _quantiles(ratios, level)
+        present = int((sizes > 0).sum())
+        units, strata = (present, 1) if over == "scenes" else (int(sizes.sum()), present)
+        low[members], high[members] = _quantiles(ratios, expanded_tail(level, units, strata))
     return Interval(low.reshape(groups), high.reshape(groups))
 
 
@@ -159,6 +165,21 @@ def _sign_flips(units: Array, replicates: int, seed: int) -> Array:
     return np.asarray(reached / len(signs) if exact else (reached + 1) / (replicates + 1))
 
 
+def _resampled_sums(
+    totals: Array, counts: Array, there: NDArray[np.bool_], over: Over, replicates: int, seed: int
+) -> tuple[Array, Array]:
+    """Return the sums of `totals` and `counts` (G, S R) over resamples of the runs `there` (replicates, G)."""
+    kept, rng = there.ravel(), np.random.default_rng(seed)
+    both = np.concatenate([totals[:, kept], counts[:, kept]]).T
+    some = max(1, _AT_ONCE // there.size)
+    pieces = [
+        _resampled(there, over, min(some, replicates - done), rng)[:, kept] @ both
+        for done in range(0, replicates, some)
+    ]
+    sums, weights = np.split(np.concatenate(pieces), 2, axis=1)
+    return sums, weights
+
+
 def _resampled(there: NDArray[np.bool_], over: Over, replicates: int, rng: np.random.Generator) -> Array:
     """Return how often each run (replicates, S R) of those `there` (S, R) is drawn."""
     scenes, runs = there.shape
@@ -187,13 +208,12 @@ def _layouts(there: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.intp], NDArr
         yield np.array(alike), there[alike[0]]
 
 
-def _quantiles(values: Array, level: float) -> tuple[Array, Array]:
-    """Return the ends of the middle `level` of `values` (replicates, G), NaN of those that hold a NaN."""
+def _quantiles(values: Array, tail: float) -> tuple[Array, Array]:
+    """Return the ends of `values` (replicates, G) without a share `tail` at either, NaN of those that hold a NaN."""
     values = np.sort(values, axis=0)  # NaN comes last
     unknown = np.isnan(values[-1])
-    ends = [np.quantile(np.where(unknown, 0.0, values), q, axis=0) for q in ((1 - level) / 2, (1 + level) / 2)]
-    low, high = (np.where(unknown, np.nan, end) for end in ends)
-    return low, high
+    low, high = np.quantile(np.where(unknown, 0.0, values), [tail, 1 - tail], axis=0)
+    return np.where(unknown, np.nan, low), np.where(unknown, np.nan, high)
 
 
 def _checked(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
