@@ -43,11 +43,12 @@ def test_markdown_has_the_shape_of_table_2(study, capsys):
     assert lines[4].startswith("| loud | rmse [m] | 0.144")
     low, high = re.search(r"\[(\d\S+), (\S+)\]", lines[2]).groups()
     assert float(low) < 0.344 < float(high)
-    assert lines[-4:] == [
+    assert lines[-5:] == [
         f"- {study}: 6 of 6 cells finished",
         "- everywhere: T60 0.27 s",
         "- a figure is of 1 to 2 scenes, 4 to 8 runs",
         "- [low, high]: 90 % bootstrap interval, runs drawn anew, of the same scenes",
+        "- a share of 0 or 100 % has the exact (Clopper-Pearson) interval of as many draws as runs",
     ]
 
 

@@ -5,10 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import stats
 from stored_studies import RUNS, SCENES, rmse, save, write_study
 
 from probtrack.errors import InputError
 from probtrack.evaluation import CellScores, PlannedCell, PlannedScene, Store, tabulate
+from probtrack.evaluation.rendering import notes
 from probtrack.metrics import bootstrap_interval
 
 
@@ -43,6 +45,39 @@ def test_share_is_in_percent(study):
     found = table(study)
     np.testing.assert_allclose(found.value[:, :, 1], [[25, 25], [0, 0]])
     assert found.high[0, 0, 1] > 1
+
+
+@pytest.mark.parametrize(("over", "draws"), [("scenes", 3), ("runs", 12)])
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_share_of_none_or_all_has_the_exact_interval_of_as_many_draws(tmp_path, over, draws, share):
+    scores = (lambda *_: (7.0 * share, 7.0),) * 2
+    path = write_study(tmp_path / "s.sqlite", scores=scores, metrics=[("track_loss", "%"), ("rmse", "m")])
+    found = table(path, rows=["tracker"], columns=[], over=over, level=0.9)
+    shown = int(share * draws)
+    exact = stats.binomtest(shown, draws).proportion_ci(0.9, method="exact")
+    np.testing.assert_allclose(found.low[:, 0, 0], 100 * exact.low, rtol=1e-12)
+    np.testing.assert_allclose(found.high[:, 0, 0], 100 * exact.high, rtol=1e-12)
+    np.testing.assert_array_equal(found.low[..., 1], share)  # no share: metres may be alike
+    assert any("Clopper-Pearson" in note and over in note for note in notes(found))
+
+
+def test_runs_without_anything_to_judge_are_no_draws_of_a_share(tmp_path):
+    scores = (lambda _settings, _scene, run: (0.0, float(run < 3)),)
+    path = write_study(tmp_path / "s.sqlite", scores=scores, metrics=[("track_loss", "%")])
+    found = table(path, rows=["tracker"], columns=[], over="runs")
+    np.testing.assert_allclose(found.high, 100 * stats.binomtest(0, 9).proportion_ci(0.95, method="exact").high)
+
+
+def test_share_between_has_no_exact_interval(study):
+    found = table(study, rows=["tracker"], columns=[], metrics=["track_loss"], over="runs")
+    assert (found.value[0], found.low[0]) == (25, 0)
+    assert found.high[0] < 60
+    assert _said(found) == 1
+    assert _said(table(study, metrics=["rmse"])) == 0
+
+
+def _said(found):
+    return sum("Clopper-Pearson" in note for note in notes(found))
 
 
 @pytest.mark.parametrize("over", ["scenes", "runs"])

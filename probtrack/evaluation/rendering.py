@@ -103,9 +103,18 @@ def notes(table: StudyTable) -> list[str]:
         said.append(f"{_PART} some of its runs are not finished")
     if np.isfinite(table.low).any():
         said.append(f"[low, high]: {interval_words(table.level, table.over)}")
+    if _shows_none_or_all(table):
+        said.append(f"a share of 0 or 100 % has the exact (Clopper-Pearson) interval of as many draws as {table.over}")
     if table.over == "scenes" and table.scenes[there].min() == 1:
         said.append("of one scene there is no interval over scenes, but one over runs")
     return said
+
+
+def _shows_none_or_all(table: StudyTable) -> bool:
+    """Return whether there is a share of none or all with an interval."""
+    shares = [unit == "%" for unit in table.metrics.values()]
+    value, low = table.value[..., shares], table.low[..., shares]
+    return bool((np.isfinite(low) & ((value == 0) | (value == 100))).any())
 
 
 def averages(table: StudyTable) -> list[str]:

@@ -13,6 +13,7 @@ from probtrack.evaluation.factors import SCENE, Factors, in_order, values_of
 from probtrack.evaluation.grouping import Combination, Groups, Numbers, ratio
 from probtrack.evaluation.store import Store, StoredCell
 from probtrack.metrics.bootstrap import Over, bootstrap_interval
+from probtrack.metrics.small_samples import none_of_bound
 
 COSTS = {"seconds": "s", "real_time_factor": ""}
 """What a run takes, beside the metrics: seconds of one processor, and those over the seconds of the recording."""
@@ -96,7 +97,8 @@ def tabulate(
 
     over runs r on recordings s of a group, with numerators a and denominators b. Recordings are drawn anew, and runs
     within them (`over="scenes"`: what another study would give), or runs alone (`over="runs"`: what the same study with
-    other seeds would give).
+    other seeds would give). A share of none or all has the interval of Clopper and Pearson, of as many draws as there
+    are scenes or runs.
 
     Args:
         store: The study.
@@ -198,8 +200,23 @@ def _figures(
         value[judged] = ratio(np.nansum(total, (2, 3)), np.nansum(count, (2, 3)))
         interval = bootstrap_interval(total, count, level=level, over=over)
         low[judged], high[judged] = interval
+        for j, above, below in zip(judged, total, count, strict=True):
+            if list(names.values())[j] == "%":
+                _bound_none_and_all(low[j], high[j], above, below, level, over)
     shown = np.array([100.0 if unit == "%" else 1.0 for unit in names.values()])[:, None]
     return shown * value, shown * low, shown * high
+
+
+def _bound_none_and_all(low: Numbers, high: Numbers, total: Numbers, count: Numbers, level: float, over: Over) -> None:
+    """Give shares of none or all, whose draws are all alike, the exact interval (G,) of as many draws (G, S, R)."""
+    judged = count > 0
+    draws = judged.any(-1).sum(-1) if over == "scenes" else judged.sum((-2, -1))
+    found, possible = np.nansum(total, (-2, -1)), np.nansum(count, (-2, -1))
+    for group in np.flatnonzero(np.isfinite(low)):
+        if found[group] == 0:
+            high[group] = none_of_bound(level, int(draws[group]))
+        elif found[group] == possible[group]:
+            low[group] = 1 - none_of_bound(level, int(draws[group]))
 
 
 def _left_out(cells: Sequence[StoredCell], named: Sequence[str]) -> tuple[Combination, dict[str, list[Any]]]:

@@ -30,6 +30,22 @@ def expanded_tail(level: float, units: int, strata: int = 1) -> float:
     return math.erfc(deviations / math.sqrt(2)) / 2
 
 
+def none_of_bound(level: float, units: int) -> float:
+    r"""Return the upper bound of a share that none of `units` draws show, :math:`1 - (\alpha / 2)^{1/n}`.
+
+    Resampling draws that are all alike gives an interval without width. 1 minus it is the lower bound of a share that
+    all draws show.
+
+    >>> round(none_of_bound(0.95, 60), 3)
+    0.06
+
+    References:
+        C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
+        binomial", Biometrika 26(4), 1934.
+    """
+    return 1.0 - float(((1.0 - level) / 2) ** (1 / units))
+
+
 def student_quantile(level: float, freedom: int) -> float:
     r"""Return t > 0 such that Student's variable of `freedom` degrees is within -t and t with probability `level`.
 
