@@ -48,3 +48,53 @@ class NoNumber(TrackMetric):
         figure = estimate.position[0, :, 0, 0].clone()
         figure[-1] = torch.nan
         return Parts(figure, torch.ones_like(figure))
+
+
+def simple(array, region):
+    """Make a tracker that has no settings."""
+    return lehmann2007(array, region, num_particles=30)
+
+
+def open_ended(array, region, **settings):
+    """Make a tracker that takes what is said."""
+    return lehmann2007(array, region, **settings)
+
+
+def worded(array, region, words: str = "none"):  # noqa: ARG001
+    """Make a tracker of which a setting is a text."""
+    return lehmann2007(array, region, num_particles=30)
+
+
+def broken(array, region):
+    """Make no tracker, by a slip."""
+    return array.nowhere + region
+
+
+class Nameless(TrackMetric):
+    """A metric that is called nothing."""
+
+    def judge(self, estimate, truth):  # noqa: ARG002
+        figure = estimate.position[0, :, 0, 0]
+        return Parts(figure, torch.ones_like(figure))
+
+
+class Misnamed(Nameless):
+    """A metric that is called like a column of every table."""
+
+    name = "seconds"
+
+
+class Numbered(Nameless):
+    """A metric whose name is no text."""
+
+    name = 3
+
+
+class Slipped(Nameless):
+    """A metric that cannot be made, by a slip."""
+
+    name = "slipped"
+
+    def __init__(self):
+        super().__init__()
+        self.share = 1 / 0

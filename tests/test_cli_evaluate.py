@@ -1,6 +1,7 @@
 """probtrack evaluate: what it shows as it works, how it is interrupted, and that help comes at once."""
 
 import dataclasses
+import io
 import os
 import pathlib
 import pty
@@ -12,6 +13,7 @@ import sys
 
 import pytest
 import yaml
+from rich.console import Console
 from study_processes import finished, wait_until
 from study_processes import start as start
 from study_scenes import claimed, write_recording
@@ -61,6 +63,14 @@ def test_on_a_pipe_progress_is_a_line_now_and_then_and_the_end_is_on_standard_ou
     said = capsys.readouterr()
     assert [line[:12] for line in said.err.splitlines()] == [f"{n} of 3 cells" for n in (0, 1, 2, 3)]
     assert re.fullmatch(rf"{tmp_path}/s.sqlite: 3 of 3 cells, 3 now in \d+ s, rmse 0\.\d+ m\n", said.out)
+
+
+def test_a_bar_shows_a_name_as_it_is(monkeypatch):
+    shown = io.StringIO()
+    monkeypatch.setattr("rich.console.Console", lambda **_: Console(file=shown, force_terminal=True, width=200))
+    with command._progress() as show:
+        show(dataclasses.replace(PROGRESS, metric="a[/x]"))
+    assert "a[/x] 0.125 m" in re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", shown.getvalue())
 
 
 def test_on_a_terminal_a_bar_shows_how_far_it_is(config, tmp_path, start):

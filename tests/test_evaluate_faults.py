@@ -1,126 +1,20 @@
 """probtrack evaluate: one clear line for everything that can be wrong with a study, and nothing finished is lost."""
 
 import os
-import shutil
 import sqlite3
 from contextlib import closing
 
 import pytest
 import torch
 import yaml
-from quick_scenes import write_data_set
+from study_command import SMALL, says
+from study_command import recording as recording
+from study_command import study as study
 from study_processes import start as start
-from study_scenes import failures, numbers, write_recording
+from study_scenes import failures, numbers
 
 from probtrack.cli.main import main
 from probtrack.evaluation import Store
-
-SMALL = {"scenes": ["near"], "trackers": {"A": "lehmann2007"}, "vary": {"num_particles": [30, 45]}, "runs": 2}
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("recording")
-    write_recording(folder / "near", (2.4, 1.1, 1.3), 0.6)
-    return folder / "near"
-
-
-@pytest.fixture(autouse=True)
-def float32(float64_and_seed):  # noqa: ARG001
-    """As commands have it."""
-    torch.set_default_dtype(torch.float32)
-
-
-@pytest.fixture
-def study(tmp_path, recording, capsys):
-    """Run a study with changes, and return its code and the lines it said."""
-    shutil.copytree(recording, tmp_path / "near")
-
-    def run(*flags, **changes):
-        content = {key: value for key, value in {**SMALL, **changes}.items() if value is not None}
-        (tmp_path / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
-        code = main(["evaluate", str(tmp_path / "study.yaml"), "-o", str(tmp_path / "s.sqlite"), *flags])
-        return code, capsys.readouterr().err.splitlines()
-
-    run.folder, run.store = tmp_path, tmp_path / "s.sqlite"
-    return run
-
-
-def says(outcome, *words):
-    """The command ended with 2 and said all of `words` in its one line."""
-    code, lines = outcome
-    assert code == 2
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("probtrack evaluate: error: ")
-    for word in words:
-        assert word in lines[0], lines[0]
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"scenes": ["nowhere"]}, "nowhere: there is no such folder: a scene is a folder with audio.wav"),
-        ({"scenes": ["empty"]}, "empty: is no scene and holds none"),
-        ({"scenes": []}, "scenes must name at least one folder"),
-        ({"scenes": ["near", "near"]}, "scenes: must differ, got near twice"),
-        ({"scenes": [{"path": "near", "conditions": {"room": [1]}}]}, "conditions"),
-        ({"scenes": None}, "scenes"),
-        ({"trackers": None}, "trackers"),
-        ({"trackers": {}}, "trackers must hold at least one, such as one of lehmann2007"),
-        ({"trackers": ["lehmann2007"]}, "trackers must be a mapping of names to what they are, got ['lehmann2007']"),
-        ({"trackers": {"A": "kalman"}}, "trackers: A: nothing is called 'kalman': there are lehmann2007, and import"),
-        ({"trackers": {"A": "odd_trackers.kalman"}}, "trackers: A: cannot import odd_trackers.kalman"),
-        ({"trackers": {"A": "not_a_module.kalman"}}, "trackers: A: cannot import not_a_module.kalman: No module named"),
-        ({"trackers": {"A": "odd_trackers.torch"}}, "trackers: A: odd_trackers.torch makes no tracker"),
-        ({"trackers": {"A": "odd_trackers.nothing"}}, "A(num_particles=30): must make a Tracker, made a NoneType"),
-        ({"trackers": {"A": {"init_args": {}}}}, "trackers: A: must be a name, or have class_path"),
-        ({"trackers": {"A": {"class_path": "lehmann2007", "init_args": {"particles": 3}}}},
-         "trackers: A: has no setting particles: there are model, parameters, num_particles"),
-        ({"trackers": {"A": {"class_path": "lehmann2007", "init_args": {"model": "CU-LAM"}}}},
-         "trackers: A: model: expected one of 'CU-RWVE'"),
-        ({"trackers": {"A": {"class_path": "lehmann2007", "init_args": {"hop": "long"}}}}, "got long"),
-        ({"trackers": {"A": {"class_path": "lehmann2007", "init_args": {"threshold": -3.0}}}},
-         "A(num_particles=30): threshold must"),
-        ({"vary": {"particles": [3]}}, "trackers: A: has no setting particles: there are model, parameters"),
-        ({"vary": {"num_particles": []}}, "vary: num_particles must be a list of values, at least one"),
-        ({"vary": {"num_particles": [3, 3]}}, "vary: num_particles: must differ, got 3 twice"),
-        ({"vary": {"num_particles": 3}}, "got 3"),
-        ({"metrics": ["rmsd"]}, "metrics: nothing is called 'rmsd': there are rmse, track_loss"),
-        ({"metrics": "rmse"}, "metrics must be a list, got 'rmse'"),
-        ({"metrics": []}, "metrics must name at least one: there are rmse, track_loss"),
-        ({"metrics": ["rmse", "rmse"]}, "metrics: must differ, got rmse twice"),
-        ({"metrics": ["odd_trackers.Failing"]}, "metrics: odd_trackers.Failing is no TrackMetric"),
-        ({"metrics": [{"class_path": "track_loss", "init_args": {"limit": 1}}]}, "nothing is called 'limit'"),
-        ({"metrics": [{"class_path": "track_loss", "init_args": {"threshold": -1.0}}]}, "threshold must"),
-        ({"runs": 0}, "runs must be"),
-        ({"runs": "many"}, "got many"),
-        ({"start": "there"}, "start: expected one of 'truth', 'anywhere', got 'there'"),
-        ({"seeds": 3}, "nothing is called 'seeds'"),
-    ],
-)  # fmt: skip
-def test_what_is_wrong_with_a_study_file_is_said_before_the_work(study, changes, words):
-    (study.folder / "empty").mkdir()
-    says(study(**changes), str(study.folder), words)
-    assert not study.store.exists()
-
-
-@pytest.mark.parametrize(
-    ("truth", "changes", "words"),
-    [
-        (None, {}, "start: truth needs one talker in truth.csv, with a position in its first row"),
-        (None, {"start": "anywhere"}, "metric rmse needs truth.csv with position"),
-        ("time,azimuth\n0,0.3\n0.4,0.3\n", {"start": "anywhere"}, "metric rmse needs truth.csv with position"),
-        ("time,azimuth\n0,0.3\n0.4,0.3\n", {"metrics": ["azimuth_rmse"]}, "start: truth needs"),
-        ("time,x,y\n0,,\n0.2,2.4,1.1\n0.4,2.4,1.1\n", {}, "start: truth needs"),
-        ("time,track,x,y\n0,1,2.4,1.1\n0,2,1,1\n0.4,1,2.4,1.1\n0.4,2,1,1\n", {"start": "anywhere"},
-         "metric rmse is of one talker, truth.csv has 2"),
-        ("where,when\n1,2\n", {}, "truth.csv"),
-    ],
-)  # fmt: skip
-def test_a_truth_that_lacks_what_is_needed_is_said(study, truth, changes, words):
-    path = study.folder / "near" / "truth.csv"
-    path.unlink() if truth is None else path.write_text(truth)
-    says(study(**changes), "near", words)
 
 
 def test_frames_without_a_truth_do_not_count(study):
@@ -129,17 +23,16 @@ def test_frames_without_a_truth_do_not_count(study):
     assert all(value == (0.0, 0.0) for key, value in numbers(study.store).items() if key[0] == "track_loss")
 
 
+@pytest.fixture(autouse=True)
+def float32(float64_and_seed):  # noqa: ARG001
+    """As commands have it."""
+    torch.set_default_dtype(torch.float32)
+
+
 def test_a_recording_that_cannot_be_used_is_said(study):
     with open(study.folder / "near" / "audio.wav", "r+b") as file:
         file.truncate(10)
     says(study(), "audio.wav")
-
-
-def test_a_data_set_that_is_half_made_is_said(study, tmp_path):
-    (tmp_path / "data").mkdir()
-    write_data_set(tmp_path / "data", "count: 3")
-    (tmp_path / "data" / "mine.yaml").rename(tmp_path / "data" / "dataset.yaml")
-    says(study(scenes=["data"]), "data: 3 of 3 scenes of the data set are missing", "run probtrack simulate again")
 
 
 @pytest.mark.parametrize(

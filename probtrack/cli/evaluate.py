@@ -119,7 +119,11 @@ def _progress() -> Iterator[Callable[["Progress"], None]]:
 
     console = Console(stderr=True)
     bar = Bar(
-        BarColumn(), TextColumn("{task.description}"), console=console, disable=not console.is_terminal, transient=True
+        BarColumn(),
+        TextColumn("{task.description}", markup=False),  # a name of the user's may look like it
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
     )
     last = time.monotonic()
     with bar:

@@ -24,17 +24,17 @@ from probtrack.evaluation.tables import tabulate as tabulate
 
 if TYPE_CHECKING:
     from probtrack.evaluation.cell import Cell as Cell
+    from probtrack.evaluation.choices import Choice as Choice
     from probtrack.evaluation.recordings import Scenes as Scenes
     from probtrack.evaluation.run import Progress as Progress
     from probtrack.evaluation.run import evaluate as evaluate
-    from probtrack.evaluation.study import Choice as Choice
     from probtrack.evaluation.study import Study as Study
     from probtrack.evaluation.study import StudyFile as StudyFile
     from probtrack.evaluation.study import load_study as load_study
     from probtrack.evaluation.study import plan as plan
 
 _WITH_TORCH = {
-    "Cell": "cell", "Progress": "run", "evaluate": "run", "Scenes": "recordings", "Choice": "study",
+    "Cell": "cell", "Progress": "run", "evaluate": "run", "Scenes": "recordings", "Choice": "choices",
     "Study": "study", "StudyFile": "study", "load_study": "study", "plan": "study",
 }  # fmt: skip
 

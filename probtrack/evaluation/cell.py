@@ -12,6 +12,8 @@ from torch import Tensor
 
 from probtrack._threads import one_thread
 from probtrack.errors import InputError, NotFiniteError
+from probtrack.evaluation.choices import content_hash
+from probtrack.evaluation.recordings import fingerprint
 from probtrack.evaluation.store import CellScores
 from probtrack.metrics import Parts, Talkers, TrackMetric
 from probtrack.simulation import SceneFolder
@@ -30,6 +32,8 @@ class Cell:
         key: What tells it from all others of the study.
         scene: Name of the recording.
         folder: Its folder.
+        fingerprint: What tells its files from others.
+        files: What tells the content of each other file, by its path, that the tracker is made of from others.
         settings: The tracker's name as `tracker`, and what is varied of its settings, by name.
         make_tracker: Makes the tracker for an array and a region.
         arguments: Keyword arguments of that.
@@ -41,6 +45,8 @@ class Cell:
     key: str
     scene: str
     folder: Path
+    fingerprint: str
+    files: dict[str, str]
     settings: dict[str, Any]
     make_tracker: Callable[..., Tracker]
     arguments: dict[str, Any]
@@ -53,11 +59,13 @@ class Cell:
         """Return the figures of all runs.
 
         Raises:
-            InputError: for files that cannot be used, or too many runs for the memory.
+            InputError: for files that cannot be used or are others than when the study was planned, or too many runs
+                for the memory.
             NotFiniteError: for a track or a figure that is not finite, with the seed of the first such run.
         """
         begin = time.thread_time()
         with one_thread():
+            self._check_unchanged()
             folder = SceneFolder(self.folder)
             tracker = self.make_tracker(folder.array, folder.region, **self.arguments)
             samples = folder.open_recording(tracker.fs).read()
@@ -81,13 +89,7 @@ class Cell:
 
     def _estimate(self, tracker: Tracker, samples: Tensor, start: Tensor | None) -> Talkers:
         """Return what the tracker says in each run; many large clouds are worked on in turn, for the memory."""
-        frames = round(samples.shape[-1] / (tracker.dt * tracker.fs))
-        most = max(1, _FRAMES // max(1, frames))
-        if len(self.seeds) > most:
-            raise InputError(
-                f"runs must be at most {most} for a recording of {frames} frames, got {len(self.seeds)}: "
-                "several studies, each with its own seed, hold more"
-            )
+        check_runs(len(self.seeds), samples.shape[-1], tracker.front_end.stft.hop)
         some = max(1, _AT_ONCE // tracker.filter.num_particles)
         pieces = []
         for seeds in torch.tensor(self.seeds).split(some):
@@ -100,6 +102,14 @@ class Cell:
             pieces.append(Talkers.of_track(track))
         return side_by_side(pieces)
 
+    def _check_unchanged(self) -> None:
+        """Raise `InputError` unless all files are those that the study was planned with, on whatever machine."""
+        if fingerprint(self.folder) != self.fingerprint:
+            raise InputError(f"{self.folder}: the files of this recording are others than when the study was planned")
+        other = next((path for path, planned in self.files.items() if content_hash(path) != planned), None)
+        if other is not None:
+            raise InputError(f"{other}: is another file than when the study was planned")
+
     def _checked(self, parts: Parts, name: str) -> Parts:
         """Return `parts` (R,) of a metric, or raise `NotFiniteError` naming the first run that has none."""
         bad = ~(parts.total.isfinite() & parts.count.isfinite())
@@ -108,6 +118,17 @@ class Cell:
             value = f"{parts.total[run]:g} over {parts.count[run]:g}"
             raise NotFiniteError(f"{name} is not finite, {value}, in the run of seed {self.seeds[run]}")
         return parts
+
+
+def check_runs(runs: int, samples: int, hop: int, where: str = "") -> None:
+    """Raise `InputError` for more runs than can be judged at once on a recording of so many samples."""
+    frames = max(1, round(samples / hop))
+    most = max(1, _FRAMES // frames)
+    if runs > most:
+        raise InputError(
+            f"{where}runs must be at most {most} for a recording of {frames} frames, got {runs}: "
+            "several studies, each with its own seed, hold more"
+        )
 
 
 def versions() -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Factors of a study: what its cells differ in, by name, in which order and in which words."""
 
 import math
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +10,9 @@ from probtrack.evaluation.store import StoredCell
 
 SCENE = "scene"
 """The factor that tells recordings apart, beside settings and conditions."""
+
+COLUMNS = ("tracker", SCENE, "run", "seed", "seconds", "real_time_factor")
+"""What tables have beside varied settings, conditions and metrics."""
 
 _IN_WORDS = {"snr_db": ("SNR", "dB"), "t60": ("T60", "s")}
 _SAY_ALL = ("tracker", "model", SCENE)  # their values need no name before them
@@ -43,6 +47,39 @@ class Factors(NamedTuple):
         if name not in every:
             raise InputError(f"{where}: the study has no factor {name!r}: there are {', '.join(every)}")
         return name
+
+
+def check_names(metrics: Iterable[Any], settings: Iterable[Any], conditions: Iterable[Any]) -> None:
+    """Raise `InputError` unless each name can be told from all others, and from what tables have anyway."""
+    taken = dict.fromkeys(COLUMNS, "what every table has")
+    for where, one, names in (
+        ("metrics", "a metric", metrics),
+        ("vary", "a varied setting", settings),
+        ("conditions", "a condition", conditions),
+    ):
+        new = list(dict.fromkeys(names))
+        for name in new:
+            if not (isinstance(name, str) and name.strip() and name.isprintable()):
+                raise InputError(f"{where}: a name must be text, in one line and not empty, got {name!r}")
+            if name in taken:
+                raise InputError(f"{where}: nothing else may be called {name}, the name of {taken[name]}")
+        taken |= dict.fromkeys(new, one)
+
+
+def check_values(values: Sequence[Any], where: str) -> None:
+    """Raise `InputError` unless all are finite numbers, texts, true or false, and no two of them the same."""
+    seen: dict[str, Any] = {}
+    for value in values:
+        if not isinstance(value, bool | int | float | str):
+            raise InputError(f"{where} must be a number, a text, true or false, got {value!r}")
+        same = str(value)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if not abs(value) <= sys.float_info.max:
+                raise InputError(f"{where} must be finite, got {value}")
+            same = str(float(value))
+        if same in seen:
+            raise InputError(f"{where}: must differ, got {value} twice")
+        seen[same] = value
 
 
 def values_of(cell: StoredCell) -> dict[str, Any]:

@@ -1,17 +1,18 @@
 """Recordings of a study: scene folders, found and looked at before any work."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from probtrack._files import read_yaml
 from probtrack.errors import InputError
-from probtrack.metrics import Talkers, TrackMetric
+from probtrack.evaluation.factors import check_values
 from probtrack.simulation import SceneFolder
 from probtrack.simulation.data_set import CONFIGURATION, load_data_set, missing_scenes
 from probtrack.simulation.scene_folder import ARRAY, SCENE, TRUTH
+from probtrack.track_files import TrackTable
 
 Value = bool | int | float | str
 """What a condition or a varied setting may be."""
@@ -32,6 +33,34 @@ class Scenes:
     name: str | None = None
     conditions: dict[str, Value] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, entry: Any) -> "Scenes":
+        """Return what a study file says: a folder, or a mapping of `path`, `name` and `conditions`."""
+        if isinstance(entry, cls):
+            made = entry
+        else:
+            content = {"path": entry} if isinstance(entry, str) else entry
+            if not isinstance(content, dict):
+                raise InputError(
+                    f"scenes: must be a folder, or have path and perhaps name and conditions, got {entry!r}"
+                )
+            names = [one.name for one in fields(cls)]
+            unknown = next((name for name in content if name not in names), None)
+            if unknown is not None:
+                raise InputError(f"scenes: nothing is called {unknown!r}: there are {', '.join(names)}")
+            if content.get("path") is None:
+                raise InputError(f"scenes: must have a path, got {entry!r}")
+            made = cls(content["path"], content.get("name"), content.get("conditions") or {})
+        if not (isinstance(made.path, str) and made.path.strip()):
+            raise InputError(f"scenes: path must be that of a folder, got {made.path!r}")
+        if made.name is not None and not (isinstance(made.name, str) and made.name.strip()):
+            raise InputError(f"scenes: {made.path}: name must be text and not empty, got {made.name!r}")
+        if not isinstance(made.conditions, dict):
+            raise InputError(f"scenes: {made.path}: conditions must be values by name, got {made.conditions!r}")
+        for name, value in made.conditions.items():
+            check_values([value], f"scenes: {made.path}: condition {name}")
+        return made
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -41,25 +70,30 @@ class Recording:
         name: What it is called.
         folder: Where it is.
         conditions: What is varied between recordings, by name.
-        truth: What is known of its talkers at the times of the truth; None without any.
+        truth: What is known of each talker; None without any.
     """
 
     name: str
     folder: Path
     conditions: dict[str, Value]
-    truth: Talkers | None
+    truth: list[TrackTable] | None
 
     def fingerprint(self) -> str:
         """Return what tells its files from others."""
-        digest = hashlib.sha256()
-        for path in (SceneFolder(self.folder).audio_path, self.folder / ARRAY, self.folder / TRUTH):
-            digest.update(path.read_bytes() if path.exists() else b"none")
-        return digest.hexdigest()[:16]
+        return fingerprint(self.folder)
 
     def origin(self) -> str | None:
         """Return what it shares with recordings of the same talkers on the same ways at other levels of noise."""
         path = self.folder / TRUTH
         return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.exists() else None
+
+
+def fingerprint(folder: Path) -> str:
+    """Return what tells the files of a scene folder from others; what is not there counts too."""
+    digest = hashlib.sha256()
+    for path in (SceneFolder(folder).audio_path, folder / ARRAY, folder / TRUTH):
+        digest.update(path.read_bytes() if path.exists() else b"none")
+    return digest.hexdigest()[:16]
 
 
 def recordings(scenes: Scenes, base: Path) -> Iterator[Recording]:
@@ -83,6 +117,8 @@ def recordings(scenes: Scenes, base: Path) -> Iterator[Recording]:
             )
     inside = sorted(path for path in folder.iterdir() if _is_scene(path)) if folder.is_dir() else []
     if not inside:
+        if folder.is_file():
+            raise InputError(f"{folder}: is a file, expected a folder")
         what = "is no scene and holds none" if folder.is_dir() else "there is no such folder"
         raise InputError(f"{folder}: {what}: a scene is a folder with audio.wav or audio.flac, and array.yaml")
     for path in inside:
@@ -101,9 +137,7 @@ def _recording(name: str, path: Path, conditions: dict[str, Value]) -> Recording
     channels = len(folder.open_recording().channels)
     if channels != len(array.positions):
         raise InputError(f"{folder.audio_path}: has {channels} channels for {len(array.positions)} microphones")
-    tables = folder.truth
-    truth = None if tables is None else Talkers.of_tables(tables, tables[0].time)
-    return Recording(name, path.resolve(), {**_simulated_conditions(path), **conditions}, truth)
+    return Recording(name, path.resolve(), {**_simulated_conditions(path), **conditions}, folder.truth)
 
 
 def _simulated_conditions(path: Path) -> dict[str, Value]:
@@ -116,21 +150,3 @@ def _simulated_conditions(path: Path) -> dict[str, Value]:
     inner = room.get("init_args") if isinstance(room, dict) else None
     known = {"snr_db": content.get("snr_db"), "t60": inner.get("t60") if isinstance(inner, dict) else None}
     return {name: value for name, value in known.items() if value is not None}
-
-
-def check_truth(one: Recording, judged: Sequence[TrackMetric], start: str) -> None:
-    """Raise `InputError` unless the truth of a recording has what metrics and the start need."""
-    truth = one.truth
-    if start == "truth":
-        position = None if truth is None or truth.num_talkers != 1 else truth.position
-        if position is None or not position[0].isfinite().all():
-            raise InputError(
-                f"{one.folder}: start: truth needs one talker in truth.csv, with a position in its first row; "
-                "start: anywhere does without"
-            )
-    for metric in judged:
-        lacking = [name for name in metric.needs if truth is None or getattr(truth, name) is None]
-        if lacking:
-            raise InputError(f"{one.folder}: metric {metric.name} needs truth.csv with {', '.join(lacking)}")
-        if metric.needs and metric.one_talker and truth is not None and truth.num_talkers > 1:
-            raise InputError(f"{one.folder}: metric {metric.name} is of one talker, truth.csv has {truth.num_talkers}")
