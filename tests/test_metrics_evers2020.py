@@ -1,6 +1,7 @@
 """Detections, false alarms, latency, breaks and swaps of two talkers, frame by frame by hand."""
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,12 +13,15 @@ from probtrack.metrics import (
     FalseAlarmRate,
     FragmentationRate,
     Latency,
+    OptimalSubPatternAssignment,
     SwapRate,
+    Talkers,
     associate,
     fragments,
     latencies,
     swaps,
 )
+from probtrack.track_files import TrackTable
 
 NAN = math.nan
 
@@ -87,6 +91,33 @@ def test_false_alarms_are_tracks_of_nobody_per_second():
     estimate = line([0.1, 0.1, 0.1, 0.1], [4.0, NAN, 9.0, NAN], [0.2, NAN, NAN, NAN])
     # of 0.4 s: two at first (a second track near A is one), one far away while A is silent, one when A has gone
     assert value(FalseAlarmRate(), estimate, truth) == pytest.approx((2 + 0 + 1 + 1) / 0.4)
+
+
+def test_false_alarms_are_counted_where_it_is_known_who_is_there():
+    truth = talkers("xx    ", "      ")._replace(known=torch.tensor([True] * 3 + [False] * 3))
+    estimate = line([0.1] * 6, [9.0] * 6)
+    # one in each of the first two frames, two in the third, and of the rest nobody knows
+    assert value(FalseAlarmRate(), estimate, truth) == pytest.approx(4 / 0.3)
+    of_runs = truth._replace(
+        position=truth.position[:, None], speech=truth.speech[:, None],
+        known=torch.stack([truth.known, ~truth.known], 1),
+    )  # fmt: skip
+    parts = FalseAlarmRate().parts(at(estimate.position[:, None].expand(-1, 2, -1, -1)), of_runs)
+    torch.testing.assert_close(parts.total, torch.tensor([4.0, 6.0]))
+    torch.testing.assert_close(parts.count, torch.tensor([0.3, 0.3]))
+
+
+def test_a_truth_of_one_second_of_eight_judges_that_second():
+    time = torch.arange(80) * 0.1
+    truth = Talkers.of_tables(
+        [TrackTable(Path("t.csv"), {"time": time[20:30], "x": time[20:30], "y": 0 * time[20:30]})], time
+    )
+    estimate = at(torch.stack([time, 0.7 + 0 * time], -1)[:, None])
+    assert value(FalseAlarmRate(), estimate, truth) == pytest.approx(10.0)
+    assert value(OptimalSubPatternAssignment(), estimate, truth) == pytest.approx(0.7)
+    torch.testing.assert_close(FalseAlarmRate().parts(estimate, truth).count, torch.tensor(1.0))
+    close = estimate._replace(position=estimate.position * torch.tensor([1.0, 0.0]))
+    assert value(FalseAlarmRate(), close, truth) == value(OptimalSubPatternAssignment(), close, truth) == 0
 
 
 def test_latency_is_from_the_onset_of_each_period_to_its_first_detection():

@@ -130,6 +130,17 @@ def test_metrics_are_means_over_frames_of_any_number_of_talkers():
     torch.testing.assert_close(parts.total, torch.tensor(0.3 + (0.01 + 0.125) ** 0.5))
 
 
+@pytest.mark.parametrize("metric", [OptimalSubPatternAssignment, GeneralisedSubPatternAssignment])
+def test_frames_of_which_nobody_knows_who_is_there_do_not_count(metric):
+    truth = at([[[0.0, 0.0]], [[0.0, 0.0]], [[NAN, NAN]], [[NAN, NAN]], [[NAN, NAN]]])
+    estimate = at([[[0.0, 0.3]], [[NAN, NAN]], [[7.0, 0.0]], [[7.0, 0.0]], [[NAN, NAN]]])
+    known = torch.tensor([True, True, False, True, False])  # the fourth: known to be empty
+    parts = metric(order=1.0, cutoff=0.6).parts(estimate, truth._replace(known=known))
+    alone = 0.6 if metric is OptimalSubPatternAssignment else 0.3
+    torch.testing.assert_close(parts.total, torch.tensor(0.3 + 2 * alone))
+    assert parts.count == 3
+
+
 def test_azimuths_are_compared_the_short_way_round():
     truth, estimate = at(azimuth=[[3.1, 0.0]]), at(azimuth=[[0.1, -3.1]])
     metric = OptimalSubPatternAssignment(by="azimuth")
@@ -145,8 +156,13 @@ def test_runs_share_a_truth():
 
 
 def test_rejects_settings_that_make_no_metric():
-    with pytest.raises(InputError, match=r"order must be at least 1, got 0\.5"):
-        OptimalSubPatternAssignment(order=0.5)
+    for metric in (OptimalSubPatternAssignment, GeneralisedSubPatternAssignment):
+        for order in (0.5, math.inf, NAN):
+            with pytest.raises(InputError, match=rf"order must be finite and at least 1, got {order}"):
+                metric(order=order)
+    both = torch.ones(2, dtype=torch.bool)
+    with pytest.raises(InputError, match="order must be finite and at least 1, got inf"):
+        ospa(torch.zeros(2, 2), there=both, said=both, order=math.inf)
     with pytest.raises(InputError, match="limit must be finite and positive"):
         GeneralisedSubPatternAssignment(cutoff=0.0)
     with pytest.raises(InputError, match="by must be position or azimuth, got heading"):

@@ -3,10 +3,12 @@
 import math
 from pathlib import Path
 
+import pytest
 import torch
-from talkers import at
+from talkers import at, off
 
-from probtrack.metrics import Talkers
+from probtrack.errors import InputError
+from probtrack.metrics import MeanSpread, RootMeanSquareError, Talkers
 from probtrack.track_files import TrackTable
 
 NAN = math.nan
@@ -76,3 +78,42 @@ def test_times_alone_are_no_talkers():
     assert (talkers.num_talkers, talkers.batch, talkers.num_frames) == (0, (), 4)
     assert talkers.dt == 0.5  # the lower of the two in the middle
     assert math.isnan(Talkers(TIME[:1]).dt)
+
+
+def test_a_frame_is_known_where_a_table_covers_it_even_without_a_position():
+    one = table(time=[0.0, 0.5, 0.75, 3.0], x=[0.0, NAN, 4.0, 4.0], y=[1.0, NAN, 1.0, 1.0])
+    other = table(time=[2.5, 4.0, 4.5], x=[0.0, 1.0, 1.0], y=[0.0, 0.0, 0.0])
+    time = torch.tensor([-0.1, 0.0, 0.25, 0.5, 1.5, 2.4, 2.5, 3.0, 3.5, 4.25, 4.6])
+    # outside both, within rows, in gaps longer than 1 s, at rows, and within the other
+    known = [False, True, True, True, False, False, True, True, False, True, False]
+    talkers = Talkers.of_tables([one, other], time)
+    assert talkers.known.tolist() == known
+    assert talkers.position[3].isnan().all()
+    assert talkers.between(2.5, 4.0).known.tolist() == [True, True, False]
+
+
+def test_what_is_known_gets_axes_of_a_batch_like_other_columns():
+    known = torch.tensor([True, False, True, True])
+    talkers = Talkers(TIME, azimuth=torch.zeros(4, 5, 3), known=known).as_double(2)
+    assert (talkers.known.shape, talkers.known.dtype, talkers.azimuth.shape) == ((4, 1, 1), torch.bool, (4, 1, 5, 3))
+    assert (Talkers(TIME, known=known).batch, Talkers(TIME, known=known).num_talkers) == ((), 0)
+    assert Talkers(TIME).as_double(2).known is None
+
+
+@pytest.mark.parametrize("late", [-0.016, 3e-6, 0.1, NAN])
+def test_an_estimate_at_other_times_than_the_truth_is_refused(late):
+    truth, estimate = off([0.1] * 8)
+    moved = estimate._replace(time=estimate.time + torch.tensor([0.0] * 5 + [late] * 3))
+    with pytest.raises(InputError, match=r"must be at the times of the truth, got \S+ s for 0\.5 s at frame 5"):
+        RootMeanSquareError().parts(moved, truth)
+    assert MeanSpread().needs == ()
+    spread = torch.eye(2).expand(8, 1, 2, 2)
+    assert MeanSpread().parts(moved._replace(covariance=spread), truth).count == 8  # needs no truth
+
+
+def test_times_of_files_and_of_single_precision_are_the_same():
+    estimate, truth = off([0.1] * 800)
+    rounded = ((truth.time / 3 * 1e6).round() / 1e6, (truth.time / 3).float())
+    for time in rounded:
+        parts = RootMeanSquareError().parts(estimate._replace(time=time), truth._replace(time=truth.time / 3))
+        torch.testing.assert_close(parts.total, torch.tensor(0.1))

@@ -98,3 +98,9 @@ class OfSets(TrackMetric, ABC):
         """Return whether each is there (T, *batch, K)."""
         values = column(talkers, self.by)
         return values.isfinite() if self.by == "azimuth" else values.isfinite().all(-1)
+
+    def known(self, truth: Talkers) -> Tensor:
+        """Return which frames count (T, *batch): where it is not known who is there nothing is right or wrong."""
+        present = self.present(truth)
+        whole = torch.ones(present.shape[:-1], dtype=torch.bool, device=present.device)
+        return whole if truth.known is None else whole & truth.known

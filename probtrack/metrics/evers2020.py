@@ -11,7 +11,7 @@ References:
 """
 
 from abc import ABC, abstractmethod
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,6 +23,20 @@ from probtrack.metrics.metric import Parts
 from probtrack.metrics.talkers import Talkers
 
 _GATES = {"position": 0.5, "azimuth": torch.pi / 6}  # m; the 30 degrees of LOCATA
+
+
+class _Pairs(NamedTuple):
+    """Tracks of talkers.
+
+    Attributes:
+        track: Which track belongs to each talker (T, *batch, K), -1 for none.
+        active: Whether each talks (T, *batch, K).
+        known: Whether it is known who is there (T, *batch).
+    """
+
+    track: Tensor
+    active: Tensor
+    known: Tensor
 
 
 class _Associated(OfSets, ABC):
@@ -38,11 +52,12 @@ class _Associated(OfSets, ABC):
         active = there if truth.speech is None else there & (truth.speech >= 0.5)
         distance = self.distance(estimate, truth)
         active = active.expand(distance.shape[:-1])
-        return self.judge_pairs(associate(distance, self.limit, active), active, estimate)
+        known = self.known(truth).expand(distance.shape[:-2])
+        return self.judge_pairs(_Pairs(associate(distance, self.limit, active), active, known), estimate)
 
     @abstractmethod
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
-        """Return the figure of each run, of the `track` (T, *batch, K) of each talker and whether each is `active`."""
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:
+        """Return the figure of each run (*batch)."""
 
 
 class DetectionRate(_Associated):
@@ -56,14 +71,14 @@ class DetectionRate(_Associated):
     name = "detection_rate"
     unit = "%"
 
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:  # noqa: ARG002
-        return _rate(detected(track, active), active, 1.0)
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:  # noqa: ARG002
+        return _rate(detected(pairs.track, pairs.active), pairs.active, 1.0)
 
 
 class FalseAlarmRate(_Associated):
-    """Tracks that belong to nobody, per second of the recording: every one counts in every frame.
+    """Tracks that belong to nobody, per second of which the truth knows who is there: each counts in every frame.
 
-    A track of a talker who is silent is not one of them. Where the truth knows nobody, every track is.
+    A track of a talker who is silent is not one of them. Where nobody is there, every track is.
 
     Args:
         gate: Largest distance of a track from its talker [m], or angle [rad]; 0.5 m or 30 degrees if not given.
@@ -73,10 +88,10 @@ class FalseAlarmRate(_Associated):
     name = "false_alarm_rate"
     unit = "1/s"
 
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:  # noqa: ARG002
-        alarms = self.present(estimate).sum(-1) - (track >= 0).sum(-1)
-        seconds = torch.full(track.shape[1:-1], estimate.num_frames * estimate.dt, dtype=torch.float64)
-        return Parts(alarms.double().sum(0), seconds.to(track.device))
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:
+        alarms = self.present(estimate).sum(-1) - (pairs.track >= 0).sum(-1)
+        frames = pairs.known.double().sum(0)
+        return Parts(alarms.double().where(pairs.known, 0.0).sum(0), frames * estimate.dt)
 
 
 class Latency(_Associated):
@@ -92,8 +107,8 @@ class Latency(_Associated):
     name = "latency"
     unit = "s"
 
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
-        late = latencies(track, active, estimate.time)
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:
+        late = latencies(pairs.track, pairs.active, estimate.time)
         known = ~late.isnan()
         return Parts(late.where(known, 0.0).sum((0, -1)), known.double().sum((0, -1)))
 
@@ -109,8 +124,8 @@ class FragmentationRate(_Associated):
     name = "fragmentation_rate"
     unit = "1/s"
 
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
-        return _rate(fragments(track, active), active, estimate.dt)
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:
+        return _rate(fragments(pairs.track, pairs.active), pairs.active, estimate.dt)
 
 
 class SwapRate(_Associated):
@@ -126,8 +141,8 @@ class SwapRate(_Associated):
     name = "swap_rate"
     unit = "1/s"
 
-    def judge_pairs(self, track: Tensor, active: Tensor, estimate: Talkers) -> Parts:
-        return _rate(swaps(track, active), active, estimate.dt)
+    def judge_pairs(self, pairs: _Pairs, estimate: Talkers) -> Parts:
+        return _rate(swaps(pairs.track, pairs.active), pairs.active, estimate.dt)
 
 
 def _rate(events: Tensor, active: Tensor, dt: float) -> Parts:

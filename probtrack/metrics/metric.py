@@ -9,7 +9,7 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from probtrack.errors import InputError, ShapeError
-from probtrack.metrics.talkers import Talkers
+from probtrack.metrics.talkers import TIME_ROUNDING, Talkers
 
 
 class Parts(NamedTuple):
@@ -61,18 +61,16 @@ class TrackMetric(Metric, ABC):
         """Return the figure of each run (*batch) of `estimate`, whose frames are at the times of `truth`.
 
         Raises:
-            InputError: if either lacks a column that this metric looks at, or there is more than one talker where it
-                is of one.
+            InputError: if either lacks a column that this metric looks at, there is more than one talker where it is
+                of one, or the times of the two differ by more than rounding.
             ShapeError: if the two have different numbers of frames, or batches that do not broadcast.
         """
         self.checked(truth)
         lacking = [name for name in self.wants if getattr(estimate, name) is None]
         if lacking:
             raise InputError(f"metric {self.name} needs an estimate with {', '.join(lacking)}")
-        if self.needs and estimate.num_frames != truth.num_frames:
-            raise ShapeError(
-                f"truth must have the {estimate.num_frames} frames of the estimate, got {truth.num_frames}"
-            )
+        if self.needs:
+            _check_times(estimate.time, truth.time)
         if self.one_talker:
             for whose, one in (("tracks", estimate), ("true talkers", truth)):
                 if one.num_talkers > 1:
@@ -100,3 +98,18 @@ class TrackMetric(Metric, ABC):
         if lacking:
             raise InputError(f"metric {self.name} needs a truth with {', '.join(lacking)}")
         return truth
+
+
+def _check_times(estimate: Tensor, truth: Tensor) -> None:
+    """Raise `ShapeError` or `InputError` unless the times (T,) [s] of both are the same but for rounding."""
+    if len(estimate) != len(truth):
+        raise ShapeError(f"truth must have the {len(estimate)} frames of the estimate, got {len(truth)}")
+    coarse = max(torch.finfo(time.dtype).eps for time in (estimate, truth))
+    said, true = estimate.double(), truth.double()
+    rounding = TIME_ROUNDING + 4 * coarse * true.abs()
+    other = ~((said - true).abs() <= rounding)
+    if other.any():
+        frame = int(other.nonzero()[0])
+        raise InputError(
+            f"estimate must be at the times of the truth, got {said[frame]:g} s for {true[frame]:g} s at frame {frame}"
+        )

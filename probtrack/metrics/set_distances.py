@@ -24,7 +24,7 @@ class _SetDistance(OfSets):
 
 
 class OptimalSubPatternAssignment(_SetDistance):
-    """OSPA, mean over frames, see `ospa`.
+    """OSPA, mean over frames of which the truth knows who is there, see `ospa`.
 
     Args:
         order: p >= 1.
@@ -43,11 +43,12 @@ class OptimalSubPatternAssignment(_SetDistance):
     def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
         there, said = self.present(truth), self.present(estimate)
         distance = self.distance(estimate, truth)
-        return sum_over_frames(ospa(distance, there=there, said=said, order=self.order, cutoff=self.limit))
+        each = ospa(distance, there=there, said=said, order=self.order, cutoff=self.limit)
+        return sum_over_frames(each.where(self.known(truth), torch.nan))
 
 
 class GeneralisedSubPatternAssignment(_SetDistance):
-    """GOSPA, mean over frames, see `gospa`.
+    """GOSPA, mean over frames of which the truth knows who is there, see `gospa`.
 
     Args:
         order: p >= 1.
@@ -66,4 +67,5 @@ class GeneralisedSubPatternAssignment(_SetDistance):
     def judge(self, estimate: Talkers, truth: Talkers) -> Parts:
         there, said = self.present(truth), self.present(estimate)
         distance = self.distance(estimate, truth)
-        return sum_over_frames(gospa(distance, there=there, said=said, order=self.order, cutoff=self.limit).distance)
+        each = gospa(distance, there=there, said=said, order=self.order, cutoff=self.limit).distance
+        return sum_over_frames(each.where(self.known(truth), torch.nan))

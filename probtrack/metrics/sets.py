@@ -1,5 +1,6 @@
 """Distances between sets of talkers and sets of tracks: OSPA and GOSPA."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -110,5 +111,5 @@ def _gains(distance: Tensor, there: Tensor, said: Tensor, order: float, cutoff: 
 def check_order(order: float, cutoff: float) -> None:
     """Raise `InputError` unless these make a metric."""
     as_positive(cutoff, "cutoff")
-    if not order >= 1:
-        raise InputError(f"order must be at least 1, got {order}")
+    if not 1 <= order < math.inf:
+        raise InputError(f"order must be finite and at least 1, got {order}")

@@ -13,7 +13,7 @@ TIME_ROUNDING = 1.01e-6
 """By how much two times that files round to a microsecond may differ [s]."""
 
 _LONGEST_GAP = 1.0  # s between two rows of a table over which it is interpolated
-_EVENT_AXES = (0, 2, 1, 1, 1, 3, 1, 1)  # of each column, after those of the batch
+_EVENT_AXES = (0, 2, 1, 1, 1, 3, 1, 1, 0)  # of each column, after those of the batch
 
 
 class Talkers(NamedTuple):
@@ -31,6 +31,7 @@ class Talkers(NamedTuple):
         covariance: Stated covariance of the position (T, *batch, K, A, A) [m^2].
         std_azimuth: Stated circular standard deviation of the azimuth (T, *batch, K) [rad].
         std_heading: Stated circular standard deviation of the heading (T, *batch, K) [rad].
+        known: Whether it is known who is there and who is not (T, *batch) bool; None: at all frames.
     """
 
     time: Tensor
@@ -41,6 +42,7 @@ class Talkers(NamedTuple):
     covariance: Tensor | None = None
     std_azimuth: Tensor | None = None
     std_heading: Tensor | None = None
+    known: Tensor | None = None
 
     @property
     def num_frames(self) -> int:
@@ -65,18 +67,21 @@ class Talkers(NamedTuple):
 
     def as_double(self, num_batch_axes: int) -> "Talkers":
         """Return all columns in float64, with axes of size 1 before those of the batch until there are that many."""
-        more = num_batch_axes - len(self.batch)
 
-        def stretched(column: Tensor) -> Tensor:
-            return column.double().reshape(column.shape[:1] + (1,) * more + column.shape[1:])
+        def stretched(column: Tensor, events: int) -> Tensor:
+            more = num_batch_axes - (column.ndim - 1 - events)
+            column = column.double() if events else column
+            return column.reshape(column.shape[:1] + (1,) * more + column.shape[1:])
 
-        columns = (None if column is None else stretched(column) for column in self[1:])
-        return Talkers(self.time.double(), *columns)
+        columns = zip(self[1:], _EVENT_AXES[1:], strict=True)
+        return Talkers(
+            self.time.double(), *(None if column is None else stretched(column, events) for column, events in columns)
+        )
 
     def _shape(self) -> tuple[int, ...]:
         """Return (T, *batch, K)."""
         for column, events in zip(self[1:], _EVENT_AXES[1:], strict=True):
-            if column is not None:
+            if column is not None and events:
                 return tuple(column.shape[: column.ndim - events + 1])
         return ()
 
@@ -112,6 +117,7 @@ class Talkers(NamedTuple):
         """Return the talkers of `tables`, one each, at the times `time` (T,) [s].
 
         Tables are interpolated between rows at most 1 s apart; outside, and in longer gaps, a talker is not known.
+        Frames that no table covers are not `known`; at a row without a position its talker is known not to be there.
         What not all tables have is left out; of positions with and without a height the plane is kept. Spreads of
         axes (`std_x`, ...) become a diagonal covariance.
         """
@@ -136,6 +142,7 @@ class Talkers(NamedTuple):
             covariance,
             _column(tables, at, "std_azimuth"),
             None,
+            torch.stack([one.valid for one in at]).any(0),
         )
 
 
