@@ -168,6 +168,18 @@ def test_p_value_of_few_pairs_is_scipys(count):
     assert paired_difference(first[None], second[None], over="runs").p_value == pytest.approx(theirs.pvalue)
 
 
+@pytest.mark.parametrize("at_once", [2**22, 17 * 13])
+def test_p_value_of_more_pairs_is_that_of_all_changes_of_sign(monkeypatch, at_once):
+    """In pieces or at once; 17 pairs of like size, of which binomial(17) have the sign of the difference."""
+    monkeypatch.setattr(bootstrap, "_AT_ONCE", at_once)
+    first = np.array([[1.0] * 12 + [-1.0] * 5])
+    expected = stats.binomtest(5, 17).pvalue
+    found = paired_difference(first, np.zeros((1, 17)), over="runs", replicates=9, flips=5000).p_value
+    assert abs(found - expected) < 5 * math.sqrt(expected * (1 - expected) / 5000)
+    other = paired_difference(first, np.zeros((1, 17)), over="runs", replicates=9, flips=5000, seed=1).p_value
+    assert other != found
+
+
 def test_p_value_of_scenes_flips_whole_scenes():
     difference = np.array([[1.0, 1.0, 1.0], [2.0, 0.0, np.nan], [-0.5, -0.5, -0.5]])  # sums 3, 2, -1.5
     # as large as 3.5 in size: 3+2-1.5, 3+2+1.5 and their negatives, of eight
@@ -175,7 +187,7 @@ def test_p_value_of_scenes_flips_whole_scenes():
 
 
 def test_p_value_is_never_zero_and_all_ties_count():
-    shift = paired_difference(np.full((2, 40), 3.0), np.zeros((2, 40)), over="runs", replicates=99)
+    shift = paired_difference(np.full((2, 40), 3.0), np.zeros((2, 40)), over="runs", flips=99)
     assert shift.p_value == pytest.approx(1 / 100)
     assert paired_difference(np.full((5, 2), 0.1), np.zeros((5, 2)), over="scenes").p_value == pytest.approx(2 / 32)
     assert paired_difference(np.ones((4, 5)), np.ones((4, 5)), over="runs").p_value == 1
@@ -184,7 +196,7 @@ def test_p_value_is_never_zero_and_all_ties_count():
 @pytest.mark.parametrize(("over", "scenes", "runs"), [("runs", 5, 8), ("scenes", 6, 4)])
 def test_p_values_are_uniform_where_nothing_differs(over, scenes, runs):
     difference = studies(scenes, runs, between=1.0 if over == "scenes" else 0.0)[1]
-    p_value = paired_difference(difference, np.zeros_like(difference), over=over, replicates=639).p_value
+    p_value = paired_difference(difference, np.zeros_like(difference), over=over, replicates=9, flips=639).p_value
     for level in (2 / 64, 10 / 64, 32 / 64):
         error = 5 * math.sqrt(level * (1 - level) / STUDIES)
         # signs shared by all studies move the level of each by their own Monte-Carlo error
@@ -220,6 +232,8 @@ def test_rejects_what_cannot_be_resampled():
         bootstrap_interval(ones, ones, over="runs", level=95)
     with pytest.raises(InputError, match="replicates must be at least 1, got 0"):
         paired_difference(ones, ones, over="runs", replicates=0)
+    with pytest.raises(InputError, match="flips must be at least 1, got 0"):
+        paired_difference(ones, ones, over="runs", flips=0)
 
 
 def test_intervals_need_no_torch():

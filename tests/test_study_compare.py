@@ -9,8 +9,9 @@ from stored_studies import SCENES, write_study
 
 from probtrack.cli.main import main
 from probtrack.errors import InputError
-from probtrack.evaluation import Side, Store, compare
+from probtrack.evaluation import Side, Store, compare, comparison
 from probtrack.evaluation.comparison import holm
+from probtrack.evaluation.comparison_rendering import comparison_notes
 from probtrack.metrics import paired_difference
 
 MANY = {f"s{i}": {"snr_db": 5 * (i % 2), "t60": 0.27} for i in range(7)}
@@ -168,14 +169,37 @@ def test_markdown(study, capsys):
         r"\| 0 \| rmse \[m\] \| \S+ \| \S+ \| \+0\.13\d \[\+0\.\d+, \+0\.\d+\] \| 0\.12 \| 0\.25 \| 16 \| 4 \|",
         lines[2],
     )
-    assert lines[-6:] == [
+    assert lines[-7:] == [
         f"- A is {study} tracker=soft",
         f"- B is {study} tracker=loud",
         "- [low, high]: 95 % bootstrap interval, scenes drawn anew, and runs within them",
         "- p: of a difference as large if the signs of scenes were chance (permutation test)",
         "- p Holm: adjusted for the 2 tests of this table",
         "- 3 scenes: p cannot be below 0.25; over runs it says nothing of other scenes",
+        "- 4 scenes: p Holm of 2 tests cannot be below 0.25",
     ]
+
+
+def test_changes_of_sign_are_many_enough_for_all_tests_together(tmp_path, monkeypatch):
+    many = {f"s{i}": {} for i in range(24)}
+    metrics = [(f"m{i}", "m") for i in range(3)]
+    path = write_study(tmp_path / "s.sqlite", scenes=many, runs=1, metrics=metrics, scores=[level] * 3)
+    found = parts(path)
+    # of 2^24 changes of sign two are as large: of 10 000 random ones none, but for a chance of 0.1 %
+    np.testing.assert_allclose(found.p_value, 1 / 10_001)
+    assert not any("cannot be below" in note for note in comparison_notes(found, "A", "B"))
+    monkeypatch.setattr(comparison, "_FLIPS", 1)
+    np.testing.assert_allclose(parts(path).adjusted, 3 / 121)
+
+
+@pytest.mark.parametrize(("tests", "said"), [(3, []), (5, ["7 scenes: p Holm of 5 tests cannot be below 0.078"])])
+def test_too_few_scenes_for_so_many_tests_is_said(tmp_path, tests, said):
+    metrics = [(f"m{i}", "m") for i in range(tests)]
+    path = write_study(tmp_path / "s.sqlite", scenes=MANY, metrics=metrics, scores=[level] * tests)
+    found = parts(path)
+    assert [note for note in comparison_notes(found, "A", "B") if "cannot be below" in note] == said
+    np.testing.assert_allclose(found.adjusted, tests / 64)
+    assert not any("cannot be below" in note for note in comparison_notes(parts(path, over="runs"), "A", "B"))
 
 
 def test_table_of_one_test_is_not_adjusted(study, capsys):

@@ -51,10 +51,24 @@ def comparison_notes(comparison: Comparison, first: str, second: str) -> list[st
     said.append(f"p: of a difference as large if the signs of {flipped} were chance (permutation test)")
     if _several(comparison):
         said.append(f"p Holm: adjusted for the {np.isfinite(comparison.p_value).sum()} tests of this table")
-    fewest = int(comparison.scenes.min())
-    if comparison.over == "scenes" and 2.0 ** (1 - fewest) > _USUAL:
-        words = "1 scene" if fewest == 1 else f"{fewest} scenes"
-        said.append(f"{words}: p cannot be below {2.0 ** (1 - fewest):g}; over runs it says nothing of other scenes")
+    return said + _limits(comparison)
+
+
+def _limits(comparison: Comparison) -> list[str]:
+    """Return what no difference could show, for lack of scenes or pairs that change sign together."""
+    what, units = ("scene", comparison.scenes) if comparison.over == "scenes" else ("pair", comparison.pairs)
+    units = units[np.isfinite(comparison.p_value)]
+    if not units.size:
+        return []
+    said = []
+    fewest, most = (f"{n} {what}{'' if n == 1 else 's'}" for n in (units.min(), units.max()))
+    lowest = 2.0 ** (1 - float(units.min()))
+    if lowest > _USUAL:
+        other = "; over runs it says nothing of other scenes" * (what == "scene")
+        said.append(f"{fewest}: p cannot be below {lowest:g}{other}")
+    together = min(1.0, units.size * 2.0 ** (1 - float(units.max())))
+    if _several(comparison) and together > _USUAL:
+        said.append(f"{most}: p Holm of {units.size} tests cannot be below {together:.2g}")
     return said
 
 

@@ -109,22 +109,25 @@ def paired_difference(
     *,
     over: Over,
     level: float = 0.95,
-    replicates: int = 1000,
+    replicates: int = 4000,
+    flips: int = 10_000,
     seed: int = 0,
 ) -> PairedDifference:
     """Return how far `first` is above `second` on the same scenes and seeds, and how likely that is chance.
 
     The interval is that of `bootstrap_interval`. The p-value is of a permutation test: if nothing tells the two apart,
     each pair's difference (over "runs"), or all differences of a scene at once (over "scenes"), may have either sign.
-    All changes of sign are tried for up to 12 pairs or scenes, `replicates` random ones and the one at hand for more,
-    so that it is never below 1 / (1 + replicates); nor below 2^(1-S) for S scenes, whatever the difference.
+    All changes of sign are tried for up to 12 pairs or scenes, `flips` random ones and the one at hand for more, so
+    that it is never below 1 / (1 + flips); nor below 2^(1-S) for S scenes, whatever the difference. Of many tests at
+    once `flips` should be 40 for each, or none can be significant.
 
     Args:
         first: One value of each run (*groups, S, R); NaN where there is none.
         second: Those of the other (*groups, S, R), run by run of the same scene and seed.
         over: "scenes" or "runs".
         level: Of the interval, in (0, 1).
-        replicates: How often to resample, and how many changes of sign to try.
+        replicates: How often to resample for the interval.
+        flips: How many changes of sign to try.
         seed: Of both.
 
     Raises:
@@ -138,6 +141,8 @@ def paired_difference(
     """
     one, other = _checked(first, second)
     _check_settings(over, level, replicates)
+    if flips < 1:
+        raise InputError(f"flips must be at least 1, got {flips}")
     difference = one - other
     there = ~np.isnan(difference)
     pairs = there.sum((-2, -1))
@@ -147,22 +152,31 @@ def paired_difference(
     )
     units = np.nan_to_num(difference)
     units = units.sum(-1) if over == "scenes" else units.reshape(*units.shape[:-2], -1)
-    p_value = _sign_flips(units.reshape(-1, units.shape[-1]), replicates, seed).reshape(pairs.shape)
+    p_value = _sign_flips(units.reshape(-1, units.shape[-1]), flips, seed).reshape(pairs.shape)
     return PairedDifference(mean, low, high, np.where(pairs > 0, p_value, np.nan))
 
 
-def _sign_flips(units: Array, replicates: int, seed: int) -> Array:
+def _sign_flips(units: Array, flips: int, seed: int) -> Array:
     """Return the share of changes of sign (G,) whose sum of `units` (G, U) is as large in size as that at hand."""
-    count = units.shape[1]
-    exact = count <= _ENUMERATED
-    if exact:
-        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
-    else:
-        signs = np.random.default_rng(seed).choice((-1.0, 1.0), (replicates, count))
-    sums = np.abs(signs @ units.T)
+    exact = units.shape[1] <= _ENUMERATED
     # sums of the same terms in another order differ by rounding: they are as large
-    reached = (sums >= np.abs(units.sum(1)) - 1e-12 * np.abs(units).sum(1)).sum(0)
-    return np.asarray(reached / len(signs) if exact else (reached + 1) / (replicates + 1))
+    least = np.abs(units.sum(1)) - 1e-12 * np.abs(units).sum(1)
+    reached = np.zeros(len(units))
+    for signs in _signs(units.shape[1], None if exact else flips, seed):
+        reached += (np.abs(signs @ units.T) >= least).sum(0)
+    return np.asarray(reached / 2 ** units.shape[1] if exact else (reached + 1) / (flips + 1))
+
+
+def _signs(count: int, flips: int | None, seed: int) -> Iterator[Array]:
+    """Yield changes of sign (some, count): all if `flips` is None, else as many random ones, in pieces."""
+    if flips is None:
+        yield np.where((np.arange(2**count)[:, None] >> np.arange(count)) & 1, -1.0, 1.0)
+        return
+    rng, most = np.random.default_rng(seed), max(1, _AT_ONCE // count)
+    for done in range(0, flips, most):
+        some = min(most, flips - done)
+        drawn = np.frombuffer(rng.bytes(-(-some * count // 8)), np.uint8)
+        yield np.where(np.unpackbits(drawn, count=some * count).reshape(some, count), -1.0, 1.0)
 
 
 def _resampled_sums(
