@@ -16,6 +16,7 @@ from study_scenes import CELLS, STUDY, claimed, failures, numbers, same, write_r
 from probtrack.cli.main import main
 from probtrack.errors import InputError
 from probtrack.evaluation import Store, cell, evaluate, execution, load_study
+from probtrack.evaluation.run import _numbered, open_store
 from probtrack.metrics import RootMeanSquareError, Talkers
 from probtrack.simulation import SceneFolder
 from probtrack.trackers import lehmann2007
@@ -90,6 +91,30 @@ def test_what_is_stored_of_a_cell(folder, undisturbed):
         assert 0 < last.seconds < 10
 
 
+def planned(folder, **changes):
+    study = load_study(write_study(folder, **changes))
+    write_study(folder)
+    return study
+
+
+def reversed_order(names):
+    return dict(reversed(names.items())) if isinstance(names, dict) else names[::-1]
+
+
+@pytest.mark.parametrize("name", ["scenes", "trackers", "vary"])
+def test_a_study_file_in_another_order_is_the_same_study_and_its_cells_stay_what_they_are(folder, tmp_path, name):
+    both = {**STUDY, "vary": {"num_particles": [40, 65], "exponent": [1.0, 2.0]}, "metrics": ["rmse"], "runs": 1}
+    first, second = (planned(folder, **changes) for changes in (both, {**both, name: reversed_order(both[name])}))
+    assert [one.key for one in first.cells] != [one.key for one in second.cells]
+    with open_store(first, tmp_path / "s.sqlite") as store:
+        stored = store.cells
+    with open_store(second, tmp_path / "s.sqlite") as store:
+        cells = _numbered(second, store)
+    assert [(cells[one.id].scene, cells[one.id].settings) for one in stored] == [
+        (one.scene, one.settings) for one in first.cells
+    ]
+
+
 def test_runs_worked_on_in_parts_give_the_same_scores(study, monkeypatch):
     whole = study.cells[1].scores()
     monkeypatch.setattr(cell, "_AT_ONCE", 2 * 65)  # two runs of three
@@ -141,11 +166,14 @@ def test_a_worker_that_is_killed_ends_the_call_in_one_line_and_costs_its_cell(st
     assert same(numbers(tmp_path / "s.sqlite"), undisturbed)
 
 
-def test_ctrl_c_ends_workers_at_once_and_keeps_what_they_finished(folder, study, undisturbed, tmp_path):
+def asleep(*_, **__):
+    time.sleep(3600)
+
+
+def test_ctrl_c_ends_workers_at_once_and_keeps_what_they_finished(study, undisturbed, tmp_path):
     # a cell of hours is running then
-    long = load_study(write_study(folder, runs=50_000))
-    write_study(folder)
-    long = dataclasses.replace(study, cells=(*study.cells[:2], *long.cells[2:]))
+    endless = [dataclasses.replace(one, make_tracker=asleep) for one in study.cells[2:]]
+    long = dataclasses.replace(study, cells=(*study.cells[:2], *endless))
     begin = []
 
     def interrupt(progress):

@@ -86,7 +86,7 @@ def test_a_killed_worker_and_then_the_end_of_the_scheduler_lose_nothing(study, t
     with scheduler() as (address, process):
         with pytest.raises(InputError, match=f"{address}: the scheduler has no workers: start some with dask worker"):
             evaluate(study, there, scheduler=address)
-        assert claimed(there) == []
+        assert not there.exists()
         with worker(address) as first, worker(address):
             wait_for_workers(address, 2)
 
@@ -133,6 +133,7 @@ def test_an_address_without_a_scheduler_is_said_within_seconds(study, tmp_path, 
     assert len(said) == 1
     assert said[0].startswith(f"probtrack evaluate: error: --scheduler {address}: ")
     assert words in said[0]
+    assert not (tmp_path / "s.sqlite").exists()
 
 
 class Failed:
@@ -165,3 +166,24 @@ def test_without_distributed_the_install_line_is_said(study, tmp_path, monkeypat
     arguments = [str(tmp_path / "study.yaml"), "-o", str(tmp_path / "s.sqlite"), "--scheduler", "tcp://127.0.0.1:1"]
     assert main(["evaluate", *arguments]) == 2
     assert "pip install 'probtrack[distributed]'" in capsys.readouterr().err
+    assert not (tmp_path / "s.sqlite").exists()
+
+
+class Cluster:
+    """A client of a cluster whose worker comes and goes."""
+
+    def __init__(self, threads):
+        self.threads = iter(threads)
+
+    def nthreads(self):
+        return {"worker": next(self.threads)}
+
+
+def test_a_cluster_without_workers_for_a_moment_is_waited_for_and_given_up_after_a_minute(monkeypatch):
+    monkeypatch.setattr(cluster, "LOOK", 0.001)
+    client = Cluster([0, 0, 1])
+    work = cluster._worked_on(lambda: None, client, "tcp://there")
+    assert [next(work) for _ in range(3)] == [None] * 3
+    monkeypatch.setattr(cluster, "_PATIENCE", -1.0)
+    with pytest.raises(InputError, match="tcp://there: all workers are gone"):
+        next(cluster._worked_on(lambda: None, Cluster([0]), "tcp://there"))

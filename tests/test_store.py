@@ -11,6 +11,7 @@ import pytest
 
 from probtrack.errors import InputError, NotFiniteError
 from probtrack.evaluation import CellScores, PlannedCell, PlannedScene, Store
+from probtrack.evaluation.database import DamagedStoreError
 from probtrack.evaluation.processes import started
 
 
@@ -174,6 +175,31 @@ def test_scores_whose_bytes_have_changed_are_not_believed(path):
     changed(path, "UPDATE score SET numerator = ? WHERE metric = 1", (np.array([0.2, 0.5]).tobytes(),))
     with Store(path) as store, pytest.raises(InputError, match="is damaged"):
         store.scores("rmse")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "DELETE FROM score WHERE metric = 1 AND cell = 2",
+        "UPDATE score SET cell = 3 WHERE metric = 1 AND cell = 2",
+        "UPDATE cell SET finished = 1.0 WHERE id = 3",
+    ],
+)
+def test_a_finished_cell_without_its_scores_is_damage(path, damage):
+    with Store(path, write=True) as store:
+        store.save(1, scores())
+        store.save(2, scores())
+    changed(path, damage)
+    with Store(path) as store, pytest.raises(DamagedStoreError, match="scores are malformed"):
+        store.scores("rmse")
+
+
+def test_scores_of_fewer_runs_than_the_cell_has_are_damage(path):
+    short = CellScores(np.ones((2, 1)), np.ones((2, 1)), 1.0, 1.0)
+    with Store(path, write=True) as store:
+        store.save(1, short)
+        with pytest.raises(DamagedStoreError, match="scores are malformed"):
+            store.scores("lost")
 
 
 @pytest.mark.parametrize(

@@ -145,6 +145,15 @@ def test_score_that_has_changed_is_not_read(study, tmp_path, capsys):
     assert "got 10 of 12 cells, 40 runs; left behind are 2 whose scores are damaged" in warning
 
 
+def test_cells_whose_scores_are_missing_are_left_behind(study, tmp_path, capsys):
+    with sqlite3.connect(study) as db:
+        db.execute("DELETE FROM score WHERE metric = 2 AND cell = 5")
+    db.close()
+    found, warning = export(capsys, study, tmp_path / "r.csv")
+    assert len(found) == 44
+    assert "got 11 of 12 cells, 44 runs; left behind are 1 whose scores are damaged" in warning
+
+
 def test_what_else_is_unreadable_is_left_empty_or_behind(study, tmp_path, capsys):
     with sqlite3.connect(study) as db:
         db.execute("UPDATE cell SET settings = '{\"tracker' WHERE id = 2")

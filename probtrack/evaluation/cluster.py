@@ -4,7 +4,7 @@ import asyncio
 import itertools
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
@@ -14,58 +14,70 @@ import torch
 from probtrack._files import difference
 from probtrack.errors import InputError
 from probtrack.evaluation.cell import Cell, versions
-from probtrack.evaluation.execution import Claims, Finished, attempt
+from probtrack.evaluation.execution import LOOK, Claim, Finished, attempt
 from probtrack.evaluation.store import CellScores
 
 _ANSWER = 5.0  # s within which a scheduler must answer
-_LOOK = 2.0  # s between two looks at how many workers there are
 _PATIENCE = 60.0  # s without any worker before it is given up: a cluster may be replacing those it lost
 _AHEAD = 2  # cells given out for each thread of a worker, so that none waits for us
 
 
-def on_cluster(claims: Claims, scheduler: str) -> Iterator[Finished]:
+def check_scheduler(scheduler: str) -> None:
+    """Ask whether there is a Dask scheduler at an address, with workers.
+
+    Raises:
+        InputError: if none answers within some seconds, or it has no workers.
+        ImportError: without the extra `distributed`.
+    """
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        raise ImportError("--scheduler needs distributed: pip install 'probtrack[distributed]'") from None
+    with _quiet():
+        if not _workers(scheduler):
+            raise InputError(f"{scheduler}: the scheduler has no workers: start some with dask worker {scheduler}")
+
+
+def on_cluster(claim: Claim, scheduler: str) -> Generator[Finished | None]:
     """Yield cells as the workers of the Dask scheduler at the address `scheduler` finish them.
 
     Workers need probtrack, the trackers and metrics that the study names, and the recordings under the same paths. A
     cell of a worker that dies goes to another.
 
     Raises:
-        InputError: if no scheduler answers at the address within some seconds, it has no workers, or it ends.
-        ImportError: without the extra `distributed`.
+        InputError: if the scheduler ends, or has no workers for a minute.
     """
-    try:
-        import distributed
-    except ImportError:
-        raise ImportError("--scheduler needs distributed: pip install 'probtrack[distributed]'") from None
-    with _quiet():
-        if not _workers(scheduler):
-            raise InputError(f"{scheduler}: the scheduler has no workers: start some with dask worker {scheduler}")
-        with distributed.Client(scheduler, timeout=_ANSWER, set_as_default=False) as client:
-            try:
-                yield from _worked_on(claims, client, scheduler)
-            except (CancelledError, OSError, distributed.client.ClosedClientError):
-                raise InputError(f"{scheduler}: the scheduler has ended: start again to go on") from None
+    import distributed
+
+    with _quiet(), distributed.Client(scheduler, timeout=_ANSWER, set_as_default=False) as client:
+        try:
+            yield from _worked_on(claim, client, scheduler)
+        except (CancelledError, OSError, distributed.client.ClosedClientError):
+            raise InputError(f"{scheduler}: the scheduler has ended: start again to go on") from None
 
 
-def _worked_on(claims: Claims, client: Any, scheduler: str) -> Iterator[Finished]:
+def _worked_on(claim: Claim, client: Any, scheduler: str) -> Generator[Finished | None]:
     from distributed import wait
 
     pending: dict[Any, tuple[int, Cell]] = {}
-    threads, seen = 0, time.monotonic()
+    seen = time.monotonic()
     while True:
         threads = sum(client.nthreads().values())
         seen = time.monotonic() if threads else seen
-        for number, cell in itertools.islice(claims, max(0, _AHEAD * threads - len(pending))):
+        if time.monotonic() - seen > _PATIENCE:
+            raise InputError(f"{scheduler}: all workers are gone: start again when there are some")
+        for number, cell in itertools.islice(iter(claim, None), max(0, _AHEAD * threads - len(pending))):
             future = client.submit(_attempt, cell, torch.get_default_dtype(), versions(), pure=False)
             pending[future] = number, cell
         if not pending:
-            return
+            time.sleep(LOOK)
+            yield None
+            continue
         try:
             with client.as_current():
-                done = wait(list(pending), timeout=_LOOK, return_when="FIRST_COMPLETED").done
+                done = wait(list(pending), timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            if time.monotonic() - seen > _PATIENCE:
-                raise InputError(f"{scheduler}: all workers are gone: start again when there are some") from None
+            yield None
             continue
         for future in done:
             number, cell = pending.pop(future)

@@ -4,8 +4,9 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
@@ -20,8 +21,14 @@ from probtrack.errors import InputError
 from probtrack.evaluation.cell import Cell
 from probtrack.evaluation.store import CellScores
 
-Claims = Iterator[tuple[int, Cell]]
-"""Cells to be done and their numbers: each is this process's own from when it is taken out."""
+Claim = Callable[[], tuple[int, Cell] | None]
+"""Takes a cell to be done, from then on this process's own, and its number; None if there is none now.
+
+There may be one later, of another process that has ended. Those who work on cells therefore never end: they yield
+None when for a while no cell was finished, and the caller, who knows whether all are, closes them.
+"""
+
+LOOK = 1.0  # s between two looks whether there is a cell to be done
 
 
 class Finished(NamedTuple):
@@ -36,13 +43,19 @@ class Finished(NamedTuple):
     outcome: CellScores | str
 
 
-def in_this_process(claims: Claims) -> Iterator[Finished]:
+def in_this_process(claim: Claim) -> Generator[Finished | None]:
     """Yield cells as they are finished, one after the other."""
-    for number, cell in claims:
-        yield Finished(number, attempt(cell))
+    while True:
+        claimed = claim()
+        if claimed is None:
+            time.sleep(LOOK)
+            yield None
+        else:
+            number, cell = claimed
+            yield Finished(number, attempt(cell))
 
 
-def in_processes(claims: Claims, workers: int) -> Iterator[Finished]:
+def in_processes(claim: Claim, workers: int) -> Generator[Finished | None]:
     """Yield cells as `workers` processes finish them, each on one thread.
 
     Raises:
@@ -54,12 +67,14 @@ def in_processes(claims: Claims, workers: int) -> Iterator[Finished]:
     try:
         pending: dict[Future[CellScores | str], int] = {}
         while True:
-            for number, cell in islice(claims, workers - len(pending)):
+            for number, cell in islice(iter(claim, None), workers - len(pending)):
                 # as bytes: torch would send the tensors of metrics as open files, which end with us
                 pending[pool.submit(_attempt_pickled, pickle.dumps(cell))] = number
             if not pending:
-                return
-            done = wait(pending, return_when=FIRST_COMPLETED).done
+                time.sleep(LOOK)
+            done = wait(pending, LOOK, FIRST_COMPLETED).done
+            if not done:
+                yield None
             for future in sorted(done, key=lambda one: one.exception() is not None):  # finished cells are kept first
                 yield Finished(pending.pop(future), future.result())
     except BrokenProcessPool:

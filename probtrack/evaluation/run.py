@@ -1,17 +1,19 @@
 """A study done, or gone on with: cells are claimed, worked on and kept one by one."""
 
+import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from probtrack._checks import check_int
 from probtrack._files import difference
 from probtrack.errors import InputError
-from probtrack.evaluation.cluster import on_cluster
-from probtrack.evaluation.execution import Claims, Finished, in_processes, in_this_process
-from probtrack.evaluation.store import Store
+from probtrack.evaluation.cell import Cell
+from probtrack.evaluation.cluster import check_scheduler, on_cluster
+from probtrack.evaluation.execution import Claim, Finished, in_processes, in_this_process
+from probtrack.evaluation.store import Store, StoredCell
 from probtrack.evaluation.study import Study
 
 
@@ -49,6 +51,11 @@ class Progress:
         here = self.done - self.before
         return self.seconds / here * (self.cells - self.done - self.failed) if here else None
 
+    @property
+    def ended(self) -> bool:
+        """Whether nothing is left to be done."""
+        return self.done + self.failed >= self.cells
+
 
 def evaluate(
     study: Study,
@@ -60,41 +67,47 @@ def evaluate(
 ) -> Progress:
     """Do what is not yet done of a study in the store at `path`, and return how far it is then.
 
-    A store that is there is gone on with; cells that failed are tried again, and those that another process works on
-    are left to it. The numbers do not depend on who does the work, or on how often it was stopped.
+    A store that is there is gone on with; cells that failed are tried again. Those that another process works on are
+    waited for, and taken over if it ends. The numbers do not depend on who does the work, or on how often it was
+    stopped.
 
     Args:
         study: What is to be done.
         path: The store, made if it is not there.
         workers: Processes of this machine, each on one thread.
         scheduler: Address of a Dask scheduler whose workers do the work instead.
-        on_progress: Called at the beginning and after each cell.
+        on_progress: Called at the beginning, after each cell, and about each second while none is finished.
 
     Raises:
-        InputError: if the store holds another study or the recordings have changed; if workers die or the disk is
-            full. What was finished is kept.
+        InputError: if the store holds another study or the recordings have changed; if no scheduler answers, in which
+            case no store is made; if workers die or the disk is full. What was finished is kept.
     """
     check_int(workers, "workers", low=1)
+    if scheduler is not None:
+        check_scheduler(scheduler)
     with open_store(study, path) as store:
         store.retry()
-        cells = {stored.id: cell for stored, cell in zip(store.cells, study.cells, strict=True)}
+        cells = _numbered(study, store)
         progress = _begin(study, store)
         on_progress(progress)
 
-        def claims() -> Claims:
-            while (number := store.claim()) is not None:
-                yield number, cells[number]
+        def claim() -> tuple[int, Cell] | None:
+            number = store.claim()
+            return None if number is None else (number, cells[number])
 
         begin = time.monotonic()
         try:
-            for one in _worked_on(claims(), workers, scheduler):
-                progress = _kept(store, one, progress)
-                done, failed = store.progress  # by other processes too
-                progress = replace(progress, done=done, failed=failed, seconds=time.monotonic() - begin)
-                on_progress(progress)
+            with closing(_worked_on(claim, workers, scheduler)) as work:
+                while not progress.ended:
+                    progress = _kept(store, next(work), progress)
+                    done, failed = store.progress  # by other processes too
+                    progress = replace(progress, done=done, failed=failed, seconds=time.monotonic() - begin)
+                    on_progress(progress)
         finally:
             with suppress(InputError):  # what is wrong with the disk has been said
                 store.release()
+        if progress.failed and progress.failure is None:  # they failed elsewhere
+            progress = replace(progress, failure=next((one.failure for one in store.cells if one.failure), None))
         return progress
 
 
@@ -121,19 +134,40 @@ def open_store(study: Study, path: str | Path) -> Store:
 
 def _difference(study: Study, store: Store) -> str:
     """Return the first difference between a study and what a store holds, in words; empty if there is none."""
-    conditions = {cell.scene: cell.conditions for cell in store.cells}
-    there = {"config": store.config, "recordings": conditions}
-    here = {"config": study.config, "recordings": {scene.name: scene.conditions for scene in study.scenes}}
+    cells = store.cells
+    there = {
+        "config": store.config,
+        "recordings": {cell.scene: cell.conditions for cell in cells},
+        "metrics": store.metrics,
+        "runs": {_identity(cell): cell.runs for cell in cells},
+    }
+    here = {
+        "config": study.config,
+        "recordings": {scene.name: scene.conditions for scene in study.scenes},
+        "metrics": {metric.name: metric.unit for metric in study.metrics},
+        "runs": {_identity(cell): len(cell.seeds) for cell in study.cells},
+    }
     found = difference(there, here)
     fingerprints = store.fingerprints
     changed = next((one.name for one in study.scenes if one.fingerprint != fingerprints.get(one.name)), None)
     return found or (f"the files of recording {changed} are others now" if changed is not None else "")
 
 
-def _worked_on(claims: Claims, workers: int, scheduler: str | None) -> Iterator[Finished]:
+def _numbered(study: Study, store: Store) -> dict[int, Cell]:
+    """Return a study's cells by their numbers in a store, which may have been planned in another order."""
+    cells = {_identity(cell): cell for cell in study.cells}
+    return {stored.id: cells[_identity(stored)] for stored in store.cells}
+
+
+def _identity(cell: Cell | StoredCell) -> str:
+    """Return what tells a cell from others, in whatever order a study file names what varies."""
+    return f"{json.dumps(cell.settings, sort_keys=True)} on {cell.scene}"
+
+
+def _worked_on(claim: Claim, workers: int, scheduler: str | None) -> Generator[Finished | None]:
     if scheduler is not None:
-        return on_cluster(claims, scheduler)
-    return in_this_process(claims) if workers == 1 else in_processes(claims, workers)
+        return on_cluster(claim, scheduler)
+    return in_this_process(claim) if workers == 1 else in_processes(claim, workers)
 
 
 def _begin(study: Study, store: Store) -> Progress:
@@ -144,8 +178,10 @@ def _begin(study: Study, store: Store) -> Progress:
     return Progress(len(study.cells), done, failed, done, 0.0, first.name, first.unit, *sums)
 
 
-def _kept(store: Store, one: Finished, progress: Progress) -> Progress:
-    """Keep a cell, and return the progress with its figures."""
+def _kept(store: Store, one: Finished | None, progress: Progress) -> Progress:
+    """Keep a cell, if there is one, and return the progress with its figures."""
+    if one is None:
+        return progress
     if isinstance(one.outcome, str):
         store.give_up(one.id, one.outcome)
         return replace(progress, failure=progress.failure or one.outcome)

@@ -21,6 +21,7 @@ from probtrack.evaluation.database import (
     BESIDE,
     FORMAT,
     TABLES,
+    Packed,
     check_scores,
     check_unchanged,
     checksum_of,
@@ -182,13 +183,11 @@ class Store:
         if metric not in self.metrics:
             raise InputError(f"{self.path}: has no metric {metric}: there are {', '.join(self.metrics)}")
         query = (
-            "SELECT metric, cell, numerator, denominator, checksum FROM score "
-            "WHERE metric = (SELECT id FROM metric WHERE name = ?) ORDER BY cell"
+            "SELECT cell.runs, metric, cell, numerator, denominator, score.checksum FROM cell LEFT JOIN score "
+            "ON cell = id AND metric = (SELECT id FROM metric WHERE name = ?) WHERE finished IS NOT NULL ORDER BY id"
         )
         with self._said():
-            rows = self._db.execute(query, (metric,)).fetchall()
-            for row in rows:
-                check_scores(*row)
+            rows = [_whole(*row) for row in self._db.execute(query, (metric,))]
         runs = np.array([len(row[2]) // 8 for row in rows], dtype=np.int64)
         return Scores(
             np.repeat(np.array([row[1] for row in rows], dtype=np.int64), runs),
@@ -290,3 +289,11 @@ class Store:
 
 def _with_checksums(rows: Iterable[tuple[object, ...]]) -> Iterator[tuple[object, ...]]:
     return ((*row, checksum_of(*row)) for row in rows)
+
+
+def _whole(runs: int, *row: Any) -> Packed:
+    """Return a row of the scores; `sqlite3.DatabaseError` if it is not there, has changed, or is of other runs."""
+    check_scores(*row)
+    if not len(row[2]) == len(row[3]) == 8 * runs:
+        raise sqlite3.DatabaseError("scores are malformed")
+    return row
