@@ -146,6 +146,8 @@ def test_what_cannot_be_compared_is_said(tmp_path, first, second, a, b, words):
     [
         ({"metrics": ["rms"]}, "both studies need metric 'rms': they have rmse"),
         ({"by": ["model"]}, "by: the study has no factor 'model'"),
+        ({"by": ["t60", "t60"]}, "by must differ, got t60 twice"),
+        ({"metrics": ["rmse", "rmse"]}, "metrics must differ, got rmse twice"),
         ({"level": 0}, "level must lie between 0 and 1, got 0"),
     ],
 )
@@ -220,6 +222,11 @@ def test_json_has_the_figures(study, capsys):
 def test_partners_that_are_missing_are_counted(tmp_path, capsys):
     path = write_study(tmp_path / "s.sqlite", scenes=MANY, metrics=ONE, scores=[level], finished=9)
     assert "4 runs of A have no partner and do not count" in said(capsys, path, *SOFT_LOUD)
+
+
+def test_one_form_is_printed(study, capsys):
+    assert main(["study", "compare", str(study), *SOFT_LOUD, "--json", "--markdown"]) == 2
+    assert "--json or --markdown can be printed, not both" in capsys.readouterr().err
 
 
 def test_one_store_needs_two_parts(study, capsys):

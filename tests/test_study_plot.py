@@ -66,6 +66,17 @@ def test_axis_is_the_number_with_most_values_and_lines_are_the_rest(study, tmp_p
     assert len(styles) == 4
 
 
+def test_names_are_drawn_as_they_are(tmp_path, drawn):
+    names = [r"$\frac$", "_one", "a$b", "plain"]
+    path = write_study(tmp_path / "s.sqlite", trackers=names, metrics=[(r"$\x$", "m")], scores=[lambda *_: (1.0, 2.0)])
+    plot(path, tmp_path / "p.svg", x="snr_db", rows=["tracker"])
+    assert [entry.get_text() for entry in drawn[0].legends[0].get_texts()] == names
+    assert drawn[0].axes[0].get_ylabel() == r"$\x$ [m]"
+    averaged = write_study(tmp_path / "t.sqlite", trackers=names, vary={"hop": [1, 2]})
+    plot(averaged, tmp_path / "q.svg", x="hop", rows=["snr_db"], metrics=["seconds"])
+    assert r"averaged over tracker: $\frac$, _one" in drawn[1].get_supxlabel()
+
+
 def test_unfinished_points_are_hollow_and_said(tmp_path, drawn, capsys):
     path = write_study(tmp_path / "s.sqlite", finished=4)  # b is done, c is not
     assert main(["study", "plot", str(path), "-o", str(tmp_path / "p.png")]) == 0

@@ -134,6 +134,10 @@ def test_labels_are_in_the_words_of_the_field():
         (["--metrics", "rms"], ["'rms'", "rmse, track_loss"]),
         (["--level", "1.5"], ["level", "between 0 and 1", "1.5"]),
         (["--level", "much"], ["--level", "expected float, got much"]),
+        (["--json", "--markdown"], ["--json or --markdown", "not both"]),
+        (["--rows", "tracker", "snr_db", "tracker"], ["rows must differ, got tracker twice"]),
+        (["--columns", "t60", "t60"], ["columns must differ, got t60 twice"]),
+        (["--metrics", "rmse", "seconds", "rmse"], ["metrics must differ, got rmse twice"]),
         (["--over", "cells"], ["--over", "cells", "scenes", "runs"]),
     ],
 )

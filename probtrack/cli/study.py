@@ -47,6 +47,7 @@ def _show(args: Namespace) -> None:
     from probtrack.evaluation.rendering import as_dict, as_markdown, notes, rich_tables
     from probtrack.evaluation.tables import tabulate
 
+    _check_printing(args)
     layout = {"rows": args.rows, "columns": args.columns, "metrics": args.metrics}
     with Store(args.store) as store:
         table = tabulate(store, **layout, level=args.level, over=args.over)
@@ -115,6 +116,7 @@ def _compare(args: Namespace) -> None:
     from probtrack.evaluation.comparison import compare
     from probtrack.evaluation.pairing import Side
 
+    _check_printing(args)
     if args.second is None and not (args.a and args.b):
         raise InputError("give a second store, or choose two parts of one: --a tracker=... --b tracker=...")
     second = args.second or args.first
@@ -142,6 +144,11 @@ def _add_figures(by: ArgumentParser, metrics: str) -> None:
 def _add_printing(by: ArgumentParser) -> None:
     by.add_argument("--json", action="store_true", help="print JSON instead of a table")
     by.add_argument("--markdown", action="store_true", help="print Markdown instead of a table")
+
+
+def _check_printing(args: Namespace) -> None:
+    if args.json and args.markdown:
+        raise InputError("--json or --markdown can be printed, not both")
 
 
 def _print(tables: Callable[[int | None], list["Table"]], below: list[str]) -> None:

@@ -12,7 +12,7 @@ from probtrack.evaluation.factors import Factors
 from probtrack.evaluation.grouping import Combination, Groups, Numbers
 from probtrack.evaluation.pairing import Pairs, Side, paired_runs
 from probtrack.evaluation.store import Scores, Store
-from probtrack.evaluation.tables import check_level
+from probtrack.evaluation.tables import check_level, check_once
 from probtrack.metrics.bootstrap import Over, paired_difference
 
 _FLIPS, _FLIPS_EACH = 10_000, 40  # changes of sign: with 20 for each test the smallest p is just 0.05 after Holm
@@ -87,6 +87,8 @@ def compare(
         S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
     """
     check_level(level)
+    check_once(by, "by")
+    check_once(metrics or (), "metrics")
     names = _metrics(first.store, second.store, metrics)
     pairs = paired_runs(first, second)
     every = Factors.of(pairs.first)

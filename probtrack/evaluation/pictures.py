@@ -17,6 +17,7 @@ from probtrack.metrics.bootstrap import Over
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 SUFFIXES = (".png", ".pdf", ".svg")
 _COLOURS = (
@@ -66,14 +67,12 @@ def plot_study(
     table = tabulate(store, rows=rows, columns=(x,), metrics=metrics, level=level, over=over)
     figure, panels = _canvas(len(table.metrics))
     for j, axis in enumerate(panels):
-        for row, style in enumerate(_styles(table)):
-            _draw(axis, table, row, j, style)
+        lines = [_draw(axis, table, row, j, style) for row, style in enumerate(_styles(table))]
         _finish(axis, table, j, x, log_x)
     hollow = ["hollow: not all runs finished"] if (table.runs < table.planned).any() else []
     below = [f"bands: {interval_words(level, over)}", *hollow, *averages(table)]
-    figure.supxlabel("; ".join(below), fontsize=8, color="0.4")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", frameon=False)
+    figure.supxlabel("; ".join(below), fontsize=8, color="0.4", parse_math=False)
+    _name_lines(figure, lines)
     figure.savefig(output, dpi=120)
     return table
 
@@ -132,19 +131,28 @@ def _styles(table: StudyTable) -> list[dict[str, Any]]:
     return styles
 
 
-def _draw(axis: "Axes", table: StudyTable, row: int, j: int, style: dict[str, Any]) -> None:
+def _draw(axis: "Axes", table: StudyTable, row: int, j: int, style: dict[str, Any]) -> "Line2D":
     at = np.array([next(iter(column.values())) for column in table.columns], dtype=float)
     value, low, high = (part[row, :, j] for part in (table.value, table.low, table.high))
     there = np.isfinite(value)
     partial = there & (table.runs < table.planned)[row]
-    axis.plot(at[there], value[there], ms=4.5, lw=1.3, **style)
+    (line,) = axis.plot(at[there], value[there], ms=4.5, lw=1.3, **style)
     axis.plot(at[partial], value[partial], style["marker"], ms=4.5, mfc="white", mec=style["color"], zorder=3)
     axis.fill_between(at[there], low[there], high[there], color=style["color"], alpha=0.13, lw=0)
+    return line
+
+
+def _name_lines(figure: "Figure", lines: list["Line2D"]) -> None:
+    """Add the legend, with names as they are: `_name` is not left out of it, and `$name$` is no formula."""
+    legend = figure.legend(lines, ["-"] * len(lines), loc="outside right upper", frameon=False)
+    for entry, line in zip(legend.get_texts(), lines, strict=True):
+        entry.set(text=str(line.get_label()), parse_math=False)
 
 
 def _finish(axis: "Axes", table: StudyTable, j: int, x: str, log_x: bool) -> None:
     metric, unit = list(table.metrics.items())[j]
-    axis.set(xlabel=heading(x), ylabel=named(metric, unit))
+    axis.set_xlabel(heading(x), parse_math=False)
+    axis.set_ylabel(named(metric, unit), parse_math=False)
     at = [next(iter(column.values())) for column in table.columns]
     if log_x:
         axis.set_xscale("log")

@@ -145,6 +145,13 @@ def check_level(level: float) -> None:
         raise InputError(f"level must lie between 0 and 1, got {level:g}")
 
 
+def check_once(names: Sequence[str], where: str) -> None:
+    """Raise `InputError` where one of `names` comes twice; `where` is the argument that has them."""
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"{where} must differ, got {name} twice")
+
+
 def started(store: Store) -> list[StoredCell]:
     """Return all cells of a study, or raise `InputError` if none of them is finished."""
     cells = store.cells
@@ -156,6 +163,7 @@ def started(store: Store) -> list[StoredCell]:
 
 def known_metrics(store: Store, wanted: Sequence[str] | None) -> dict[str, str]:
     """Return units of the `wanted` metrics, all by default, or raise `InputError` that lists those there are."""
+    check_once(wanted or (), "metrics")
     there = store.metrics
     known = {**COSTS, **there}
     for name in wanted or ():
@@ -170,6 +178,7 @@ def _layout(
     """Return the factors along rows and columns, of which what is not said is what varies."""
     every, varied = Factors.of(cells), Factors.varied(cells)
     for where, names in (("rows", rows), ("columns", columns)):
+        check_once(names or (), where)
         for name in names or ():
             every.known(name, where)
     twice = sorted(set(rows or ()) & set(columns or ()))
