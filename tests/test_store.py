@@ -217,7 +217,7 @@ def test_a_file_that_is_no_store_is_said(tmp_path, content, words):
 
 def test_a_store_of_another_version_is_said(path):
     changed(path, "UPDATE meta SET value = '99' WHERE key = 'format'")
-    with pytest.raises(InputError, match=r"a study of format 99, this version of probtrack reads format 1"):
+    with pytest.raises(InputError, match=r"a study of format 99, this version of probtrack reads format 2"):
         Store(path)
 
 

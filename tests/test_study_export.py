@@ -163,8 +163,37 @@ def test_what_else_is_unreadable_is_left_empty_or_behind(study, tmp_path, capsys
     db.close()
     found, warning = export(capsys, study, tmp_path / "r.csv")
     assert "got 10 of 12 cells, 40 runs; left behind are 2 of which it is not known what they are" in warning
+    assert "; empty are conditions of 1 recordings and seeds of 1 recordings\n" in warning
     assert found.snr_db.isna().equals(found.scene == "a")
     assert found.seed.isna().equals(found.scene == "b")
+
+
+def test_names_of_metrics_that_may_have_changed_are_said(study, tmp_path, capsys):
+    with sqlite3.connect(study) as db:
+        db.execute("UPDATE metric SET name = 'rmsd' WHERE id = 1")
+    db.close()
+    found, warning = export(capsys, study, tmp_path / "r.csv")
+    assert len(found) == 48
+    assert warning.endswith("; the names of metrics may not be what they were\n")
+
+
+def test_scores_of_a_cell_that_no_longer_says_it_is_finished_are_kept(study, tmp_path, capsys):
+    with sqlite3.connect(study) as db:
+        db.execute("UPDATE cell SET finished = NULL WHERE id = 3")
+        db.execute("UPDATE cell SET seconds = 9.0 WHERE id = 4")
+    db.close()
+    found, warning = export(capsys, study, tmp_path / "r.csv")
+    assert len(found) == 48
+    assert "got 12 of 12 cells" in warning
+
+
+def test_damaged_store_without_a_whole_cell_is_an_error_and_no_table(study, tmp_path, capsys):
+    with sqlite3.connect(study) as db:
+        db.execute("UPDATE score SET numerator = zeroblob(32)")
+    db.close()
+    assert main(["study", "export", str(study), "-o", str(tmp_path / "r.csv")]) == 2
+    assert capsys.readouterr().err == f"probtrack study: error: {study}: is damaged, and no cell of it is whole\n"
+    assert not (tmp_path / "r.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from probtrack.errors import InputError
 
-FORMAT = 1
+FORMAT = 2
 """Of the tables below: a store says which it has."""
 
 BESIDE = ("-wal", "-shm")
@@ -21,14 +21,15 @@ BESIDE = ("-wal", "-shm")
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE scene (name TEXT PRIMARY KEY, fingerprint TEXT NOT NULL, conditions TEXT NOT NULL,
-    origin TEXT NOT NULL, checksum INTEGER NOT NULL) WITHOUT ROWID;
+    origin TEXT NOT NULL, seeds INTEGER NOT NULL, checksum INTEGER NOT NULL) WITHOUT ROWID;
 CREATE TABLE seed (scene TEXT NOT NULL, run INTEGER NOT NULL, seed INTEGER NOT NULL, PRIMARY KEY (scene, run))
     WITHOUT ROWID;
 CREATE TABLE metric (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, unit TEXT NOT NULL);
 CREATE TABLE cell (
     id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, scene TEXT NOT NULL, settings TEXT NOT NULL,
     runs INTEGER NOT NULL, checksum INTEGER NOT NULL,
-    pid INTEGER, pid_since TEXT, finished REAL, seconds REAL, duration REAL, failure TEXT);
+    pid INTEGER, pid_since TEXT, finished REAL, seconds REAL, duration REAL, failure TEXT,
+    done_checksum INTEGER);
 CREATE TABLE score (
     metric INTEGER NOT NULL, cell INTEGER NOT NULL, numerator BLOB NOT NULL, denominator BLOB NOT NULL,
     checksum INTEGER NOT NULL, PRIMARY KEY (metric, cell));
@@ -42,6 +43,7 @@ class DamagedStoreError(InputError):
 Packed = tuple[int, int, bytes, bytes, int]
 """A row of the scores: metric, cell, numerators and denominators (little-endian), and a checksum of all that."""
 
+_NOT_WRITABLE = ("readonly database", "unable to open")  # of a folder in which SQLite can put nothing
 _DAMAGE = ("malformed", "not a database", "Could not decode")  # what SQLite says of a file that was changed
 
 
@@ -81,13 +83,49 @@ def check_unchanged(checksum: object, *columns: object) -> None:
         raise sqlite3.DatabaseError("the plan is malformed")
 
 
+def plan_checksum(db: sqlite3.Connection) -> int:
+    """Return the checksum of what a store says of itself and of its metrics."""
+    meta = db.execute("SELECT key, value FROM meta WHERE key != 'checksum' ORDER BY key").fetchall()
+    return checksum_of(*meta, *db.execute("SELECT id, name, unit FROM metric ORDER BY id").fetchall())
+
+
+def check_plan(db: sqlite3.Connection) -> None:
+    """Raise `sqlite3.DatabaseError` if what a store says of itself and of its metrics is not as it was written."""
+    checksum = db.execute("SELECT value FROM meta WHERE key = 'checksum'").fetchone()
+    if checksum is None or checksum[0] != str(plan_checksum(db)):
+        raise sqlite3.DatabaseError("the plan is malformed")
+
+
+def seeds_of(db: sqlite3.Connection, scene: str) -> list[int]:
+    """Return the seeds of the runs of a scene; `sqlite3.DatabaseError` if they are not as they were planned."""
+    seeds = [seed for (seed,) in db.execute("SELECT seed FROM seed WHERE scene = ? ORDER BY run", (scene,))]
+    checksum = db.execute("SELECT seeds FROM scene WHERE name = ?", (scene,)).fetchone()
+    check_unchanged(checksum and checksum[0], *seeds)
+    return seeds
+
+
 def connected(path: Path, mode: str) -> sqlite3.Connection:
     """Open a store to read it ("ro"), to add to it ("rw") or to make it ("rwc")."""
-    db = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=60, isolation_level=None)
+    db = _opened(path, f"mode={mode}")
     if mode != "ro":
         db.execute("PRAGMA journal_mode = WAL")
         db.execute("PRAGMA synchronous = FULL")
+        return db
+    try:
+        db.execute("PRAGMA schema_version").fetchone()
+    except sqlite3.OperationalError as error:
+        wal = path.with_name(path.name + BESIDE[0])
+        if not any(word in str(error) for word in _NOT_WRITABLE) or (wal.exists() and wal.stat().st_size):
+            return db
+        db.close()
+        return _opened(path, "mode=ro&immutable=1")  # nobody is at work on it, and nothing can be put beside it
+    except sqlite3.DatabaseError:
+        pass  # what is first asked of it says so again
     return db
+
+
+def _opened(path: Path, how: str) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, timeout=60, isolation_level=None)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from probtrack.errors import InputError
-from probtrack.evaluation.database import FORMAT, check_unchanged, unpacked
+from probtrack.evaluation.database import FORMAT, check_plan, check_unchanged, connected, seeds_of, unpacked
 from probtrack.evaluation.store import Scores, Store, StoredCell
 
 _UNREADABLE = (sqlite3.Error, ValueError)  # pages, and what is in them: JSON, text
@@ -46,7 +46,8 @@ def salvage(path: str | Path) -> Runs:
     """Return the runs of those cells of a damaged store that are whole, with a warning that says what is not.
 
     Raises:
-        InputError: for a file of which nothing can be read: no study, or one whose first pages are damaged.
+        InputError: for a file of which nothing can be read: no study, one whose first pages are damaged, or one of
+            which no cell is whole.
     """
     with closing(_opened(Path(path))) as db:
         try:
@@ -57,26 +58,51 @@ def salvage(path: str | Path) -> Runs:
             raise InputError(f"{path}: nothing can be read of it: {error}") from None
         if known is None:
             raise InputError(f"{path}: a study of format {meta['format']}, this version reads format {FORMAT}")
+        changed = _plan_changed(db)
         scenes = _Scenes(db)
         cells = [cell for i in range(1, known + 1) if (cell := _cell(db, i, scenes)) is not None]
         parts = _parts(db, known * len(metrics))
-        finished = [cell for cell in cells if cell.finished is not None]
-        whole = [cell for cell in finished if all((m, cell.id) in parts for m in range(1, len(metrics) + 1))]
-        seeds = {cell.scene: scenes.seeds(cell.scene) for cell in whole}
-    lost = [
+        whole = [cell for cell in cells if _is_whole(cell, parts, len(metrics))]
+        begun = {number for _, number in parts} | {cell.id for cell in cells if cell.finished is not None}
+        names = list(dict.fromkeys(cell.scene for cell in whole))
+        seeds = {name: some for name in names if (some := scenes.seeds(name))}
+    if not whole:
+        raise InputError(f"{path}: is damaged, and no cell of it is whole")
+    scores = {name: _scores(parts, whole, metric) for metric, name in enumerate(metrics, start=1)}
+    left = [
         f"{count} {what}"
         for count, what in (
-            (len(finished) - len(whole), "whose scores are damaged"),
+            (len(begun & {cell.id for cell in cells}) - len(whole), "whose scores are damaged"),
             (known - len(cells), "of which it is not known what they are"),
         )
         if count
     ]
     warning = (
         f"{path} is damaged: got {len(whole)} of {known} cells, {sum(cell.runs for cell in whole)} runs; "
-        f"left behind are {' and '.join(lost) or 'none that were finished'}"
+        f"left behind are {' and '.join(left) or 'none that were finished'}"
     )
-    scores = {name: _scores(parts, whole, metric) for metric, name in enumerate(metrics, start=1)}
-    return Runs(whole, metrics, scores, {name: some for name, some in seeds.items() if some}, warning)
+    blank = [
+        f"{what} of {count} recordings"
+        for count, what in ((len(scenes.unknown & set(names)), "conditions"), (len(names) - len(seeds), "seeds"))
+        if count
+    ]
+    warning += f"; empty are {' and '.join(blank)}" if blank else ""
+    warning += "; the names of metrics may not be what they were" if changed else ""
+    return Runs(whole, metrics, scores, seeds, warning)
+
+
+def _plan_changed(db: sqlite3.Connection) -> bool:
+    try:
+        check_plan(db)
+    except _UNREADABLE:
+        return True
+    return False
+
+
+def _is_whole(cell: StoredCell, parts: dict[tuple[int, int], Any], metrics: int) -> bool:
+    """Whether there are scores of all runs of a cell for all metrics."""
+    pairs = [parts.get((metric, cell.id)) for metric in range(1, metrics + 1)]
+    return all(pair is not None and len(pair[0]) == len(pair[1]) == cell.runs for pair in pairs)
 
 
 class _Scenes:
@@ -85,23 +111,26 @@ class _Scenes:
     def __init__(self, db: sqlite3.Connection) -> None:
         self._db = db
         self._planned: dict[str, tuple[dict[str, Any], str]] = {}
+        self.unknown: set[str] = set()
 
     def planned(self, name: str) -> tuple[dict[str, Any], str]:
         """Return conditions and origin."""
         if name not in self._planned:
             self._planned[name] = {}, name
-            query = "SELECT name, fingerprint, conditions, origin, checksum FROM scene WHERE name = ?"
+            self.unknown.add(name)
+            query = "SELECT name, fingerprint, conditions, origin, seeds, checksum FROM scene WHERE name = ?"
             row = _row(self._db, query, (name,))
             if row is not None:
                 *planned, checksum = row
                 with suppress(*_UNREADABLE):
                     check_unchanged(checksum, *planned)
                     self._planned[name] = json.loads(planned[2]), planned[3]
+                    self.unknown.discard(name)
         return self._planned[name]
 
     def seeds(self, name: str) -> list[int]:
         with suppress(*_UNREADABLE):
-            return [s for (s,) in self._db.execute("SELECT seed FROM seed WHERE scene = ? ORDER BY run", (name,))]
+            return seeds_of(self._db, name)
         return []
 
 
@@ -156,7 +185,7 @@ def _opened(path: Path) -> sqlite3.Connection:
     if not path.is_file():
         raise InputError(f"{path}: no such study")
     try:
-        db = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=60, isolation_level=None)
+        db = connected(path, "ro")
         db.execute("PRAGMA writable_schema = ON")  # a file that was cut off is otherwise refused as a whole
         db.execute("PRAGMA cell_size_check = ON")
     except sqlite3.Error as error:

@@ -8,8 +8,8 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,18 @@ from typing import Any
 import numpy as np
 
 from probtrack.errors import InputError, NotFiniteError
+from probtrack.evaluation import creation
 from probtrack.evaluation.database import (
-    BESIDE,
     FORMAT,
-    TABLES,
     Packed,
+    check_plan,
     check_scores,
     check_unchanged,
     checksum_of,
     connected,
     in_one_line,
     packed,
+    seeds_of,
 )  # fmt: skip
 from probtrack.evaluation.processes import started
 from probtrack.evaluation.records import CellScores as CellScores
@@ -54,9 +55,12 @@ class Store:
         if not self.path.is_file():
             raise InputError(f"{path}: {'is no file' if self.path.exists() else 'no such study'}")
         with self._said():
-            self._db = connected(self.path, "rw" if write else "ro")
+            self._db = connected(self.path, "ro")  # which leaves a file that is no study as it is
             try:
                 self._check_format()
+                if write:
+                    self._db.close()
+                    self._db = connected(self.path, "rw")
             except BaseException:
                 self._db.close()
                 raise
@@ -79,34 +83,7 @@ class Store:
             metrics: Name and unit of each metric.
             cells: What is to be done.
         """
-        path = Path(path)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        unfinished.unlink(missing_ok=True)
-        try:
-            with in_one_line(path):
-                with closing(connected(unfinished, "rwc")) as db, db:
-                    db.executescript("BEGIN;" + TABLES)
-                    meta = {"format": str(FORMAT), "created": str(time.time()), "config": json.dumps(config)}
-                    meta["cells"] = str(len(cells))  # so that a damaged file can say what is missing
-                    db.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
-                    db.executemany(
-                        "INSERT INTO scene VALUES (?, ?, ?, ?, ?)",
-                        _with_checksums(
-                            (s.name, s.fingerprint, json.dumps(s.conditions), s.origin or s.name) for s in scenes
-                        ),
-                    )
-                    rows = ((one.name, run, seed) for one in scenes for run, seed in enumerate(one.seeds))
-                    db.executemany("INSERT INTO seed VALUES (?, ?, ?)", rows)
-                    db.executemany("INSERT INTO metric (name, unit) VALUES (?, ?)", metrics)
-                    db.executemany(
-                        "INSERT INTO cell (key, scene, settings, runs, checksum) VALUES (?, ?, ?, ?, ?)",
-                        _with_checksums((c.key, c.scene, json.dumps(c.settings), c.runs) for c in cells),
-                    )
-                with suppress(FileExistsError):
-                    os.link(unfinished, path)  # unlike a renaming it leaves a file alone that another process made
-        finally:
-            for end in ("", *BESIDE):
-                unfinished.with_name(unfinished.name + end).unlink(missing_ok=True)
+        creation.create(Path(path), config, scenes, metrics, cells)
         return cls(path, write=True)
 
     def __enter__(self) -> "Store":
@@ -142,14 +119,16 @@ class Store:
     @property
     def cells(self) -> list[StoredCell]:
         """All cells, finished or not."""
-        columns = "id, key, scene, settings, runs, checksum, finished, seconds, duration, failure"
+        columns = "id, key, scene, settings, runs, checksum, finished, seconds, duration, failure, done_checksum"
         parsed = cache(json.loads)  # many cells have the same settings
         cells = []
         with self._said():
             scenes = self._scenes()
             rows = self._db.execute(f"SELECT {columns} FROM cell ORDER BY id")
-            for i, key, scene, settings, runs, checksum, *rest in rows:
+            for i, key, scene, settings, runs, checksum, *rest, done in rows:
                 check_unchanged(checksum, key, scene, settings, runs)
+                if rest[0] is not None:
+                    check_unchanged(done, i, *rest[:3])
                 if scene not in scenes:
                     raise sqlite3.DatabaseError(f"scene {scene} is malformed")
                 cells.append(StoredCell(i, key, scene, parsed(settings), *scenes[scene], runs, *rest))
@@ -172,7 +151,7 @@ class Store:
     def seeds(self, scene: str) -> list[int]:
         """Return the seeds of the runs of a scene."""
         with self._said():
-            return [s for (s,) in self._db.execute("SELECT seed FROM seed WHERE scene = ? ORDER BY run", (scene,))]
+            return seeds_of(self._db, scene)
 
     def scores(self, metric: str) -> Scores:
         """Return all runs of finished cells for one metric, sorted by cell and run.
@@ -223,14 +202,16 @@ class Store:
                 run = int((~np.isfinite(bad)).any(0).argmax())
                 raise NotFiniteError(f"{metric} is not finite in run {run}: {bad[0, run]:g} over {bad[1, run]:g}")
         rows = [packed(metric, cell, *pair) for metric, pair in enumerate(pairs, start=1)]
-        done = (time.time(), scores.seconds, scores.duration, cell)
+        done = (time.time(), float(scores.seconds), float(scores.duration))
         with self._said(), self._transaction():
             self._db.executemany("INSERT OR IGNORE INTO score VALUES (?, ?, ?, ?, ?)", rows)
             self._db.execute(
-                "UPDATE cell SET pid = NULL, finished = ?, seconds = ?, duration = ?, failure = NULL "
-                "WHERE id = ? AND finished IS NULL",
-                done,
+                "UPDATE cell SET pid = NULL, finished = ?, seconds = ?, duration = ?, failure = NULL, "
+                "done_checksum = ? WHERE id = ? AND finished IS NULL",
+                (*done, checksum_of(cell, *done), cell),
             )
+        with self._said():
+            self._db.execute("PRAGMA wal_checkpoint(PASSIVE)")  # a copy of the file alone has what is finished
 
     def give_up(self, cell: int, failure: str) -> None:
         """Note what went wrong with a cell; the next start tries again."""
@@ -253,15 +234,16 @@ class Store:
         try:
             found = dict(self._db.execute("SELECT key, value FROM meta"))
         except sqlite3.OperationalError as error:
-            if "no such table" not in str(error):
+            if not any(word in str(error) for word in ("no such table", "no such column")):
                 raise
             found = {}
-        if "format" not in found:
+        if not {"format", "cells"} <= found.keys():
             raise InputError(f"{self.path}: not a study made by probtrack evaluate")
         if found["format"] != str(FORMAT):
             raise InputError(
                 f"{self.path}: a study of format {found['format']}, this version of probtrack reads format {FORMAT}"
             )
+        check_plan(self._db)
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -277,18 +259,14 @@ class Store:
     def _scenes(self) -> dict[str, tuple[dict[str, Any], str]]:
         """Return conditions and origin of each recording by name."""
         scenes = {}
-        query = "SELECT name, fingerprint, conditions, origin, checksum FROM scene"
-        for name, fingerprint, conditions, origin, checksum in self._db.execute(query):
-            check_unchanged(checksum, name, fingerprint, conditions, origin)
+        query = "SELECT name, fingerprint, conditions, origin, seeds, checksum FROM scene"
+        for name, fingerprint, conditions, origin, seeds, checksum in self._db.execute(query):
+            check_unchanged(checksum, name, fingerprint, conditions, origin, seeds)
             scenes[name] = json.loads(conditions), origin
         return scenes
 
     def _said(self) -> Any:
         return in_one_line(self.path)
-
-
-def _with_checksums(rows: Iterable[tuple[object, ...]]) -> Iterator[tuple[object, ...]]:
-    return ((*row, checksum_of(*row)) for row in rows)
 
 
 def _whole(runs: int, *row: Any) -> Packed:
