@@ -127,9 +127,10 @@ def test_a_truth_that_lacks_what_is_needed_is_said(study, truth, changes, words)
     says(study(**changes), "near", words)
 
 
-def test_a_metric_that_looks_after_the_end_is_said(study):
-    late = {"class_path": "largest_jump", "init_args": {"begin": 2.0, "end": 3.0}}
-    says(study(metrics=[late]), "near: metric largest_jump looks from 2 s to 3 s, where the recording, 0 s to 0.6 s")
+@pytest.mark.parametrize(("begin", "end"), [(2, 3), (-3, -1)])
+def test_a_metric_that_looks_beside_the_recording_is_said(study, begin, end):
+    beside = {"class_path": "largest_jump", "init_args": {"begin": begin, "end": end}}
+    says(study(metrics=[beside]), f"largest_jump looks from {begin} s to {end} s, where the recording, 0 s to 0.6 s")
 
 
 def test_a_recording_shorter_than_a_frame_is_said(study):
