@@ -113,7 +113,7 @@ def test_an_estimate_at_other_times_than_the_truth_is_refused(late):
 
 def test_times_of_files_and_of_single_precision_are_the_same():
     estimate, truth = off([0.1] * 800)
-    rounded = ((truth.time / 3 * 1e6).round() / 1e6, (truth.time / 3).float())
+    rounded = ((truth.time * 7 / 3 * 1e6).round() / 1e6, (truth.time * 7 / 3).float())
     for time in rounded:
-        parts = RootMeanSquareError().parts(estimate._replace(time=time), truth._replace(time=truth.time / 3))
+        parts = RootMeanSquareError().parts(estimate._replace(time=time), truth._replace(time=truth.time * 7 / 3))
         torch.testing.assert_close(parts.total, torch.tensor(0.1))
