@@ -33,6 +33,7 @@ def start():
 
 def command(arguments, largest_file, said):
     """Run a command, perhaps with a limit to the size of files, and what it says in a file."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
     if largest_file is not None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # writing more fails then, as on a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, resource.RLIM_INFINITY))
