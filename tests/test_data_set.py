@@ -150,23 +150,43 @@ def wait_for(folder, count):
         time.sleep(0.02)
 
 
+def workers_of(process):
+    """Return the numbers of the workers that a command has begun."""
+    columns = ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(process.pid)]
+    children = subprocess.run(columns, capture_output=True, text=True).stdout.splitlines()
+    return [int(line.split()[0]) for line in children if "spawn_main" in line]
+
+
+def wait_until_gone(workers):
+    end = time.monotonic() + 10
+    while any(map(_alive, workers)):
+        assert time.monotonic() < end, "a worker lived on"
+        time.sleep(0.1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "interrupted"])
 def test_a_run_that_was_stopped_is_gone_on_with(tmp_path, how):
-    config = write_data_set(tmp_path, "count: 16", "snr_db: [5.0, 15.0]")
+    config = write_data_set(tmp_path, "count: 12", "snr_db: [5.0, 15.0]")
     scenes, folder = load_data_set(config), tmp_path / "set"
     process = started(tmp_path, config, 2)
     wait_for(folder, 3)
-    os.killpg(process.pid, how)
-    said = process.communicate()[1]
+    if how == signal.SIGKILL:
+        workers = workers_of(process)
+        process.kill()  # alone: its workers must end by themselves
+    else:
+        os.killpg(process.pid, how)
+    said = process.communicate(timeout=20)[1]
+    if how == signal.SIGKILL:
+        wait_until_gone(workers)
     assert process.returncode == (-9 if how == signal.SIGKILL else 130)
-    assert said == ""
+    assert "Traceback" not in said  # of a killed one Python's own warning of leaked semaphores may be left
     done = files(folder)
     count = sum(name.endswith(".wav") and not name.startswith(".") for name in done)
-    assert 3 <= count < 32
+    assert 3 <= count < 24
     if how == signal.SIGINT:
         assert len(read_manifest(folder)) == count
-    assert len(make(scenes, folder)) >= 16 - count
+    assert len(make(scenes, folder)) >= 12 - count
     complete(folder, scenes)
     assert {name: when for name, when in files(folder).items() if name in done} == {
         name: when for name, when in done.items() if not name.startswith(".")
@@ -178,11 +198,7 @@ def test_a_killed_worker_is_said_in_one_line(tmp_path):
     config = write_data_set(tmp_path, "count: 60")
     process = started(tmp_path, config, 2)
     wait_for(tmp_path / "set", 1)
-    children = subprocess.run(
-        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(process.pid)], capture_output=True, text=True
-    )
-    worker = next(int(line.split()[0]) for line in children.stdout.splitlines() if "spawn_main" in line)
-    os.kill(worker, signal.SIGKILL)
+    os.kill(workers_of(process)[0], signal.SIGKILL)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 2
     assert len(said.splitlines()) == 1
@@ -313,33 +329,6 @@ def test_a_scene_that_lost_a_file_is_made_again(tmp_path):
     assert make(scenes, tmp_path / "set") == [0, 1]
     assert (tmp_path / "set" / "1" / "audio.wav").read_bytes() == before
     complete(tmp_path / "set", scenes)
-
-
-@pytest.mark.slow
-def test_workers_end_when_their_parent_is_killed(tmp_path):
-    program = (
-        "import os, sys, time\n"
-        "from concurrent.futures import ProcessPoolExecutor\n"
-        "from multiprocessing import get_context\n"
-        "import torch\n"
-        "from probtrack.simulation.data_set import _become_worker\n"
-        "if __name__ == '__main__':\n"
-        "    pool = ProcessPoolExecutor(1, get_context('spawn'), _become_worker, (torch.float32,))\n"
-        "    print(pool.submit(os.getpid).result(), flush=True)\n"
-        "    time.sleep(60)\n"
-    )
-    (tmp_path / "program.py").write_text(program)
-    parent = subprocess.Popen([sys.executable, str(tmp_path / "program.py")], stdout=subprocess.PIPE, text=True)
-    worker = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
-    for _ in range(100):
-        if not _alive(worker):
-            return
-        time.sleep(0.1)
-    os.kill(worker, signal.SIGKILL)
-    pytest.fail("the worker lived on")
 
 
 def _alive(process):

@@ -192,13 +192,16 @@ def test_ctrl_c_ends_workers_at_once_and_keeps_what_they_finished(study, undistu
 
 def test_killed_again_and_again_gives_the_same_numbers(start, folder, undisturbed, tmp_path):
     path, study = tmp_path / "s.sqlite", write_study(folder)
-    for cells in (1, 3, 4):
-        process = start("evaluate", study, "-o", str(path))
+    for cells, workers in ((1, 2), (4, 1)):
+        process = start("evaluate", study, "-o", str(path), "--workers", str(workers))
         wait_until(lambda cells=cells: finished(path) >= cells)
         time.sleep(0.03 * cells)  # somewhere within the next
+        begun = descendants(process.pid)
         process.kill()
         process.join()
-        assert len(claimed(path)) <= 1  # what it was working on
+        assert len(begun) >= (2 if workers == 2 else 0)
+        wait_until(lambda begun=begun: not any(map(running, begun)), 5.0)
+        assert len(claimed(path)) <= workers  # what it was working on
     assert finished(path) < CELLS
     assert main(["evaluate", study, "-o", str(path)]) == 0
     assert same(numbers(path), undisturbed)
@@ -213,19 +216,6 @@ def test_two_processes_on_one_store_share_the_cells(start, folder, undisturbed, 
     assert [process.exitcode for process in two] == [0, 0]
     assert same(numbers(path), undisturbed)
     assert list(tmp_path.glob(".*")) == []
-
-
-def test_workers_of_a_killed_process_end_too(start, folder, undisturbed, tmp_path):
-    path, study = tmp_path / "s.sqlite", write_study(folder)
-    process = start("evaluate", study, "-o", str(path), "--workers", "2")
-    wait_until(lambda: finished(path) >= 2)
-    workers = descendants(process.pid)
-    process.kill()
-    process.join()
-    assert len(workers) >= 2
-    wait_until(lambda: not any(map(running, workers)), 5.0)
-    assert main(["evaluate", study, "-o", str(path)]) == 0
-    assert same(numbers(path), undisturbed)
 
 
 def test_cells_that_fail_leave_the_others_alone_and_are_tried_again(folder, tmp_path, capsys):
