@@ -53,9 +53,7 @@ class Config:
 def main(config: Config) -> StudyTable:
     """Do the study, print it and return its table."""
     models = config.models[:2] if config.quick else config.models
-    compared = trackers(models) | (trackers_learned(models) if config.learned else {})
-    for choice in compared.values():
-        del choice["init_args"]["num_particles"]
+    compared = trackers(models, {}) | (trackers_learned(models) if config.learned else {})
     file = StudyFile(
         scenes=[Scenes(str(scene(config).resolve()))],
         trackers=compared,
@@ -108,7 +106,7 @@ def scene(config: Config) -> Path:
 
 def trackers_learned(models: tuple[Model, ...]) -> dict[str, Any]:
     """Return the trackers with learned parameters, of the models that have some."""
-    chosen = trackers([model for model in models if model in learned_models()], parameters="learned")
+    chosen = trackers([model for model in models if model in learned_models()], {"parameters": "learned"})
     return {f"{model}, learned": choice for model, choice in chosen.items()}
 
 

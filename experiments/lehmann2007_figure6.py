@@ -35,7 +35,10 @@ def main(config: Config) -> StudyTable:
     snr_db, ways, runs = (SNR_DB[::5], 2, 4) if config.quick else (SNR_DB, 4, config.runs)
     scenes = recordings(config.out, 0.27, snr_db, ways=ways, talker=config.talker)
     file = StudyFile(
-        scenes=[*scenes], trackers=trackers(MODELS, vad_threshold=config.vad_threshold), metrics=METRICS, runs=runs
+        scenes=[*scenes],
+        trackers=trackers(MODELS, {"num_particles": 75, "vad_threshold": config.vad_threshold}),
+        metrics=METRICS,
+        runs=runs,
     )
     name = f"figure6-{config.talker}-{config.vad_threshold:g}dB{'-quick' if config.quick else ''}"
     with Store(done(file, config.out / f"{name}.sqlite", config.workers)) as store:

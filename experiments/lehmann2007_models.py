@@ -62,11 +62,12 @@ def main(config: Config) -> StudyTable:
 
 def compared(config: Config) -> dict[str, Any]:
     """Return the trackers of the study."""
-    printed = trackers(config.models, num_particles=config.num_particles)
+    settings = {"num_particles": config.num_particles}
+    printed = trackers(config.models, settings)
     if not config.learned:
         return printed
     models = [model for model in config.models if model in learned_models()]
-    learned = trackers(models, num_particles=config.num_particles, parameters="learned")
+    learned = trackers(models, {**settings, "parameters": "learned"})
     return printed | {f"{model}, learned": choice for model, choice in learned.items()}
 
 

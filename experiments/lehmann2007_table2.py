@@ -75,7 +75,10 @@ def main(config: Config) -> StudyTable:
     snr_db, t60, ways, runs = (SNR_DB[-2:], T60[:1], 2, 4) if config.quick else (SNR_DB, T60, 5, config.runs)
     scenes = [one for t in t60 for one in recordings(config.out, t, snr_db, ways=ways, talker=config.talker)]
     file = StudyFile(
-        scenes=[*scenes], trackers=trackers(MODELS, vad_threshold=config.vad_threshold), metrics=METRICS, runs=runs
+        scenes=[*scenes],
+        trackers=trackers(MODELS, {"num_particles": 75, "vad_threshold": config.vad_threshold}),
+        metrics=METRICS,
+        runs=runs,
     )
     name = f"table2-{config.talker}-{config.vad_threshold:g}dB{'-quick' if config.quick else ''}.sqlite"
     with Store(done(file, config.out / name, config.workers)) as store:

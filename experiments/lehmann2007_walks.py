@@ -36,7 +36,7 @@ def main(config: Config) -> StudyTable:
     folders = data_set("walks-test", config.data, quick=config.quick)
     file = StudyFile(
         scenes=[Scenes(str(folder.path.resolve()), f"walks-test/{folder.path.name}") for folder in folders],
-        trackers=trackers(MODELS, vad_threshold=config.vad_threshold),
+        trackers=trackers(MODELS, {"num_particles": 75, "vad_threshold": config.vad_threshold}),
         metrics=METRICS,
         runs=2 if config.quick else config.runs,
     )

@@ -18,12 +18,9 @@ METRICS = ["rmse", "track_loss", "mstd", "coverage_90", "nees", "azimuth_rmse"]
 _EVERY = 30.0  # s between two lines of progress
 
 
-def trackers(models: Sequence[str], **settings: Any) -> dict[str, Any]:
-    """Return the trackers of a study file, one a motion model and called like it."""
-    return {
-        model: {"class_path": "lehmann2007", "init_args": {"model": model, "num_particles": 75, **settings}}
-        for model in models
-    }
+def trackers(models: Sequence[str], settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the trackers of a study file, one a motion model and called like it, all with the same `settings`."""
+    return {model: {"class_path": "lehmann2007", "init_args": {"model": model, **settings}} for model in models}
 
 
 def done(file: StudyFile, store: Path, workers: int) -> Path:

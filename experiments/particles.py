@@ -36,12 +36,9 @@ class Config:
 def main(config: Config) -> StudyTable:
     """Do the study, draw and print it, and return its table."""
     numbers, ways, runs = ((25, 75), 1, 4) if config.quick else (config.num_particles, 5, config.runs)
-    compared = trackers(config.models)
-    for choice in compared.values():
-        del choice["init_args"]["num_particles"]
     file = StudyFile(
         scenes=[*recordings(config.out, 0.27, ways=ways, talker=config.talker)],
-        trackers=compared,
+        trackers=trackers(config.models, {}),
         vary={"num_particles": [*numbers]},
         metrics=METRICS,
         runs=runs,
